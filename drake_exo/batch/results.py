@@ -32,13 +32,13 @@ from drake_exo.errors import InputError
 from drake_exo.files.output import (
     FAILS,
     HOLDS,
+    STYLE,
     mark_of,
     read_json,
     save_figure,
     write_json,
 )
 from drake_exo.measurement.trial import Trial
-from drake_exo.report.figures import STYLE
 
 _AGAIN = "run the batch again"
 # Ends of keys that tell the unit of the numbers below them.

@@ -18,6 +18,7 @@ from drake_exo.files.output import (
     Verdict,
     joined_mark,
     read_json,
+    save_figure,
     stored,
     stored_mark,
     write_json,
@@ -450,7 +451,7 @@ def draw_front(
         for name, (tr0, tr, rot0, rot) in TABLE_2.items()
     }
     figure = pictures.pareto_figure(fronts, rows, paper)
-    pictures.save(figure, out / "front.png", mark)
+    save_figure(out / "front.png", figure, mark)
 
 
 def report(out: Path, designs: list[StoredDesign]) -> str:
@@ -478,7 +479,7 @@ def report(out: Path, designs: list[StoredDesign]) -> str:
     }
     mark = joined_mark({n: stored_mark(s) for n, s in summaries.items()})
     for name, figure in figures.items():
-        pictures.save(figure, out / name, mark)
+        save_figure(out / name, figure, mark)
     text = finite_strain.write_table(out, found, mark) if found else ""
     _write_page(out, designs, [*figures, "front.png"], text)
     return text

@@ -11,6 +11,7 @@ command line (`drake-exo contact --out DIR`).
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,7 +30,7 @@ from drake_exo.contact.hunt_crossley import (
 )
 from drake_exo.contact.strap import EXTRAPOLATED, STIFF, CuffDesign
 from drake_exo.errors import InputError, check_type
-from drake_exo.files.output import save_figure, write_json
+from drake_exo.files.output import COLOURS, STYLE, save_figure, write_json
 from drake_exo.files.schema import quantity
 from drake_exo.measurement.quality import TrialQuality
 from drake_exo.measurement.trial import Trial
@@ -40,19 +41,10 @@ Runs = Mapping[str, Sequence[Trial | None]]
 
 _MEASURED = {"color": "0.15", "lw": 1.6}
 _MEASURED_DEVICE = {"color": "0.6", "lw": 1.6}
-# The paper's: red for the model, in C blue for C1 and red for C2.
-_ONE = ("#c8102e",)
-_SEVERAL = ("#1f6fb4", "#c8102e", "#2a8c4a", "#8a5fbf")
-_DEVICE = "#1f6fb4"
-STYLE = {
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "0.92",
-    "axes.axisbelow": True,
-    "savefig.dpi": 150,
-}
+# The model is blue, in C2 as in the paper's figures red, uncalibrated green.
+_MODEL, _SECOND, _UNCALIBRATED, *_MORE = COLOURS
+_RUNS = (_MODEL, _SECOND, *_MORE)
+_DASHES = ("--", "-.", (0, (5, 1, 1, 1, 1, 1)))  # the device's are ":"
 
 
 def draw_figures(
@@ -176,12 +168,11 @@ def interaction_figure(
     found = next(t for run in runs.values() for t in run if t is not None)
     rows = _cuff_rows(found)
     first = next(iter(runs.values()))
-    color = _SEVERAL[0] if len(runs) > 1 else _ONE[0]
 
     def shade(axes) -> None:
         for column, trial, band in zip(axes.T, first, bands, strict=False):
             if band is not None and trial is not None:
-                _shade(column, trial, band, color)
+                _shade(column, trial, band)
 
     return _drawn(runs, trials, rows, shade=shade)
 
@@ -193,11 +184,11 @@ def _cuff_rows(found: Trial) -> list[tuple]:
     return [(f"{cuff} normal [N]", signal(cuff)) for cuff in found.cuffs]
 
 
-def _shade(axes, trial: Trial, band: Bands, color) -> None:
+def _shade(axes, trial: Trial, band: Bands) -> None:
     """Bands of normal forces, as `Bands.coverage` counts them."""
     for ax, cuff in zip(axes, trial.cuffs, strict=True):
         off = band.off_mats.get(cuff, 0.0)
-        _draw_band(ax, trial, band, cuff, color, off=off)
+        _draw_band(ax, trial, band, cuff, _MODEL, off=off)
 
 
 def _draw_band(
@@ -248,8 +239,9 @@ def overview_figure(
             column[len(rows) - 1].set_xlabel("time [s]")
             column[len(rows) - 1].tick_params(labelbottom=True)
         if cuffs and band is not None:
-            _shade(axes[: len(cuffs), 2], found, band, _ONE[0])
-        top = 1.0 - _legend(figure) / figure.get_size_inches()[1]
+            _shade(axes[: len(cuffs), 2], found, band)
+        below = _legend(figure) + 0.15  # inches: the name has its own line
+        top = 1.0 - below / figure.get_size_inches()[1]
         figure.text(0.01, top, measured.name, va="bottom")
         figure.align_ylabels()
         figure.tight_layout(rect=(0, 0, 1, top))
@@ -280,7 +272,7 @@ def front_figure(rows: list[dict]) -> Figure:
             x = [r["angles_deg"] for r in some]
             y = [r["grf_n"] for r in some]
             face = None if solved else "none"
-            ax.plot(x, y, style, color="#c8102e", mfc=face)
+            ax.plot(x, y, style, color=_MODEL, mfc=face)
         for row in rows:
             said = "" if row["success"] else ", not solved"
             ax.annotate(
@@ -291,7 +283,7 @@ def front_figure(rows: list[dict]) -> Figure:
             )
         ax.set_xlabel("joint angles, mean RMSD [°]")
         ax.set_ylabel("ground reaction, mean RMSD [N]")
-        ax.set_title("Noise of forces scaled by a factor", fontsize=9)
+        ax.set_title("Pareto front; ×: factor on the noise of forces")
         figure.tight_layout()
     return figure
 
@@ -301,15 +293,16 @@ def _drawn(runs, trials, rows, height=1.9, shade=None) -> Figure:
 
     `shade` adds to all of them before the legend is made.
     """
+    width = _panel_width(len(trials))
     with matplotlib.rc_context(STYLE):
         figure = Figure(
-            figsize=(max(3.0 * len(trials), 4.4), height * len(rows) + 0.6)
+            figsize=(max(width * len(trials), 4.4), height * len(rows) + 0.6)
         )
         axes = figure.subplots(
             len(rows), len(trials), sharex="col", sharey="row", squeeze=False
         )
         for k, trial in enumerate(trials):
-            axes[0, k].set_title(trial.name)
+            axes[0, k].set_title(_wrapped(trial.name, width))
             found = {name: run[k] for name, run in runs.items()}
             _fill(axes[:, k], found, trial, rows)
         for ax in axes[:, 1:].flat:
@@ -320,21 +313,30 @@ def _drawn(runs, trials, rows, height=1.9, shade=None) -> Figure:
     return figure
 
 
+def _panel_width(trials: int) -> float:
+    """Inches: narrower where there are many."""
+    return min(3.0, max(1.6, 18.0 / trials))
+
+
+def _wrapped(name: str, width: float) -> str:
+    """A trial's name in lines of some inches, at "_" if it can be."""
+    lines = textwrap.fill(name.replace("_", "_ "), int(11 * width))
+    return lines.replace("_ ", "_")
+
+
 def _fill(axes, found: dict[str, Trial | None], trial: Trial, rows) -> None:
     """Panels of one trial: as measured, and as each run has it."""
-    colors = _ONE if len(found) == 1 else _SEVERAL
     for ax, (label, *signals) in zip(axes, rows, strict=False):
         curves = _measured_curves(trial, signals)
         for k, (name, solved) in enumerate(found.items()):
             if solved is not None:
-                color = colors[k % len(colors)]
+                color = _RUNS[k % len(_RUNS)]
+                if name.endswith("uncalibrated"):
+                    color = _UNCALIBRATED
                 # Matplotlib leaves names out that begin with "_".
                 said = f" {name}" if name.startswith("_") else name
-                # A dash of its own where colours begin again.
-                dash = "--" if k < len(colors) else "-."
-                curves += _run_curves(
-                    solved, said, signals, color, dash, len(found)
-                )
+                dash = _DASHES[k % len(_DASHES)]
+                curves += _run_curves(solved, said, signals, color, dash)
         for times, values, style in curves:
             ax.plot(times, values, **style)
         ax.set_ylabel(label)
@@ -349,13 +351,13 @@ def _measured_curves(trial: Trial, signals):
     return [(trial.times, x, style) for x, style in found if x is not None]
 
 
-def _run_curves(trial: Trial, name: str, signals, color, dash, count):
+def _run_curves(trial: Trial, name: str, signals, color, dash):
     style = {"label": name, "color": color, "lw": 1.6, "ls": dash}
     curves = [(trial.times, signals[0](trial), style)]
     for device in signals[1:]:
         style = {
             "label": f"{name}, exoskeleton",
-            "color": _DEVICE if count == 1 else color,
+            "color": color,
             "lw": 1.3,
             "ls": ":",
         }
@@ -412,55 +414,57 @@ def quality_figure(trial: Trial, quality: TrialQuality) -> Figure:
         trial: as loaded.
         quality: of the same trial.
     """
-    figure = Figure(figsize=(11.0, 8.0), layout="constrained")
-    axes = figure.subplots(2, 3)
     t = trial.start_s + trial.times
-    _by_joint(
-        axes[0, 0], trial, t, lambda name: np.rad2deg(trial.coordinate(name))
-    )
-    _finish_axes(axes[0, 0], "angles", "deg")
-    _forces(axes[0, 1], trial, t)
-    ax = axes[0, 2]
-    for column, name in enumerate(("F_x [N]", "F_z [N]", "M [N m]")):
-        ax.plot(t, quality.residual[:, column], label=name)
-    ax.axhline(0.0, color="0.7", lw=0.8)
-    _finish_axes(ax, "missed by Newton's law", "N, N m")
-    ax = axes[1, 0]
-    if trial.moments is not None:
-        _by_joint(ax, trial, t, trial.moment)
-    _finish_axes(ax, "joint moments", "N m")
-    ax = axes[1, 1]
-    for name, force in trial.cuffs.items():
-        ax.plot(t, force.normal, label=name)
-    _finish_axes(ax, "mats: normal force on the human", "N")
-    _markers(axes[1, 2], quality)
-    figure.suptitle(trial.name)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(11.0, 8.0), layout="constrained")
+        axes = figure.subplots(2, 3)
+        ax = axes[0, 0]
+        _by_joint(ax, trial, t, lambda name: np.rad2deg(trial.coordinate(name)))
+        _finish_axes(ax, "joint angles", "angle [°]")
+        _forces(axes[0, 1], trial, t)
+        ax = axes[0, 2]
+        for column, name in enumerate(("$F_x$ [N]", "$F_z$ [N]", "$M$ [N m]")):
+            ax.plot(t, quality.residual[:, column], label=name)
+        ax.axhline(0.0, color="0.7", lw=0.8)
+        _finish_axes(ax, "missed by Newton's law", "force [N], moment [N m]")
+        ax = axes[1, 0]
+        if trial.moments is not None:
+            _by_joint(ax, trial, t, trial.moment)
+        _finish_axes(ax, "joint moments", "moment [N m]")
+        ax = axes[1, 1]
+        for name, force in trial.cuffs.items():
+            ax.plot(t, force.normal, label=name)
+        _finish_axes(ax, "mats: normal force on the human", "force [N]")
+        _markers(axes[1, 2], quality)
+        figure.suptitle(trial.name)
     return figure
 
 
 def _by_joint(ax, trial: Trial, t, signal: Callable) -> None:
-    """A signal of every joint, the device's dashed in the human's colour."""
+    """A signal of every joint: joints by colour, sides and device by dash."""
     names = trial.coordinates
+    kinds = list(dict.fromkeys(without_side(name) for name in names.human))
     for joint in names.joints:
         device = joint in names.device
         human = names.follows(joint) if device else joint
+        right = human.endswith("_right")
         ax.plot(
             t,
             signal(joint),
-            "--" if device else "-",
-            color=f"C{names.human.index(human)}",
+            ("-.", ":")[device] if right else ("-", "--")[device],
+            color=COLOURS[kinds.index(without_side(human)) % len(COLOURS)],
             label=joint,
         )
 
 
 def _forces(ax, trial: Trial, t) -> None:
-    for side, wrench in trial.soles.items():
+    for color, (side, wrench) in zip(COLOURS, trial.soles.items()):  # noqa: B905
         foot = "feet" if side == "both" else side
-        ax.plot(t, wrench.force_x, label=f"{foot} F_x")
-        ax.plot(t, wrench.force_z, label=f"{foot} F_z")
+        ax.plot(t, wrench.force_x, "--", color=color, label=f"{foot} $F_x$")
+        ax.plot(t, wrench.force_z, color=color, label=f"{foot} $F_z$")
     if trial.chair is not None:
-        ax.plot(t, trial.chair.force_z, label="chair F_z")
-    _finish_axes(ax, "forces on the body", "N")
+        ax.plot(t, trial.chair.force_z, color="0.4", label="chair $F_z$")
+    _finish_axes(ax, "forces on the body", "force [N]")
 
 
 _MARKERS = 24  # as many names as can be read, the farthest
@@ -472,20 +476,19 @@ def _markers(ax, quality: TrialQuality) -> None:
     values = [1e3 * value for _, value in items]
     ax.barh(range(len(items)), values, color="0.6")
     ax.set_yticks(range(len(items)), [name for name, _ in items], fontsize=6)
+    ax.grid(visible=False, axis="y")
     title = "markers' distance from the model"
     if len(items) < len(every):
         title += f", {len(items)} of {len(every)}"
-    ax.set_title(title, fontsize=9)
-    ax.set_xlabel("mm")
+    ax.set_title(title)
+    ax.set_xlabel("RMS [mm]")
 
 
-def _finish_axes(ax, title: str, unit: str) -> None:
-    ax.set_title(title, fontsize=9)
-    ax.set_xlabel("s")
-    ax.set_ylabel(unit)
-    if ax.get_legend_handles_labels()[0]:
-        ax.legend(fontsize=7)
-    else:
+def _finish_axes(ax, title: str, label: str) -> None:
+    ax.set_title(title)
+    count = len(ax.get_legend_handles_labels()[0])
+    if not count:
+        ax.set_axis_off()
         ax.text(
             0.5,
             0.5,
@@ -494,9 +497,19 @@ def _finish_axes(ax, title: str, unit: str) -> None:
             color="0.5",
             transform=ax.transAxes,
         )
+        return
+    ax.set_xlabel("time [s]")
+    ax.set_ylabel(label)
+    # Below: curves may fill all of the panel.
+    ax.legend(
+        fontsize=7,
+        ncols=2 if count == 4 else 3,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.15),
+    )
 
 
-_BEFORE, _AFTER = "#1f6fb4", "#c8102e"
+_BEFORE, _AFTER = COLOURS[:2]
 _PERSON, _LINKS = "0.82", "0.35"
 
 
@@ -517,15 +530,14 @@ def forces_figure(designed) -> Figure:
         )
     ]
     cuffs = list(designed.peaks)
+    width = _panel_width(len(pairs))
     built: dict[str, dict[str, Trial]] = {
         name: {t.name: t for t in trials}
         for name, trials in designed.measured.items()
     }
     with matplotlib.rc_context(STYLE):
-        figure = Figure(
-            (2.2 * len(pairs) + 0.6, 1.9 * len(cuffs) + 0.5),
-            layout="constrained",
-        )
+        size = max(width * len(pairs), 4.4), 1.9 * len(cuffs) + 0.5
+        figure = Figure(size, layout="constrained")
         axes = figure.subplots(
             len(cuffs), len(pairs), sharex="col", sharey="row", squeeze=False
         )
@@ -539,8 +551,8 @@ def forces_figure(designed) -> Figure:
                     end = ",\nleft out" if out else ""
                     axis.set_ylabel(f"{cuff} normal [N]{end}")
             several = f"{name}\n" if len(wearers) > 1 else ""
-            title = f"{several}{before.trial.name}"
-            axes[0, column].set_title(title, fontsize=8)
+            title = f"{several}{_wrapped(before.trial.name, width)}"
+            axes[0, column].set_title(title)
             axes[-1, column].set_xlabel("time [s]")
         # Not every trial has mats of every cuff.
         shown = _entries(figure)
@@ -549,7 +561,7 @@ def forces_figure(designed) -> Figure:
             shown,
             fontsize=7,
             loc="outside lower center",
-            ncols=len(shown),
+            ncols=min(len(shown), int(size[0] / 1.4)),
         )
         _head(figure, designed)
     return figure
@@ -599,7 +611,8 @@ def device_figure(designed) -> Figure:
                     arrowprops={"arrowstyle": "-", "lw": 0.5, "color": "0.5"},
                 )
             axis.set_aspect("equal")
-            axis.set_title(title, fontsize=8)
+            axis.margins(x=0.15)
+            axis.set_title(title)
             axis.set_xlabel("x [m]")
         axes[1].set_xlim(right=axes[1].get_xlim()[1] + 0.95)
         axes[0].set_ylabel("z [m]")
@@ -691,7 +704,7 @@ def _draw_ends(axis, model, q) -> None:
 
 
 def design_front_figure(rows: list[dict]) -> Figure:
-    """Norm of the forces against the device's work; hollow if dominated.
+    """Norm of the forces against the device's work, by its share of today's.
 
     Args:
         rows: as `designing.front` gives them.
@@ -710,6 +723,17 @@ def design_front_figure(rows: list[dict]) -> Figure:
                 ms=4,
                 mfc=face,
             )
+        for row in rows:
+            axis.annotate(
+                f"×{row['share']:g}",
+                (row["work_j"], row["norm_n"]),
+                textcoords="offset points",
+                xytext=(6, 4),
+            )
+        axis.margins(x=0.1)
+        axis.set_title(
+            "Pareto front; ×: share of today's work; hollow: dominated"
+        )
         axis.set_xlabel("work of the device [J]")
         axis.set_ylabel("norm of the cuffs' forces [N]")
     return figure
@@ -748,23 +772,6 @@ def _draw(axis, cuff: str, moved, built, shown: float) -> None:
 
 
 DESIGN_FIGURES = {"forces.png": forces_figure, "device.png": device_figure}
-
-
-# Colours that stay apart in print and for colour-blind readers.
-BLUE, ORANGE, GREY, SHADE = "#0072B2", "#D55E00", "#5F5F5F", "#E8E8E8"
-_STYLE = {
-    "font.size": 9.0,
-    "axes.labelsize": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.8,
-    "lines.linewidth": 1.6,
-    "legend.frameon": False,
-    "legend.fontsize": 8.0,
-    "savefig.dpi": 220,
-    "mathtext.fontset": "dejavusans",
-    "svg.hashsalt": "drake_exo",
-}
 
 
 @dataclass(frozen=True)
@@ -853,21 +860,21 @@ def draw_normal_force(curves: ContactCurves):
         axes.plot(
             1e3 * x,
             curves.normal("paper", x, rate),
-            color=BLUE,
+            color=_MODEL,
             linestyle=style,
             label=f"paper, {label}",
         )
     axes.plot(
         1e3 * x,
         curves.normal("simbody", x),
-        color=ORANGE,
+        color=_SECOND,
         label="simbody, at rest",
     )
-    axes.axvspan(-50.0, 0.0, color=SHADE, zorder=0)
+    axes.axvspan(-50.0, 0.0, color="0.92", zorder=0)
     axes.set_xlim(-50.0, 21.0)
     axes.set_ylim(0.0, 1.05 * np.max(curves.normal("paper", x)))
-    axes.set_xlabel("indentation (mm)")
-    axes.set_ylabel("normal force (N)")
+    axes.set_xlabel("indentation [mm]")
+    axes.set_ylabel("normal force [N]")
     axes.legend(loc="upper left", handlelength=2.2)
     axes.text(
         0.03,
@@ -878,7 +885,7 @@ def draw_normal_force(curves: ContactCurves):
         transform=axes.transAxes,
         va="top",
         fontsize=8.0,
-        color=GREY,
+        color="0.4",
     )
     _draw_zoom(axes, curves)
     return figure
@@ -890,7 +897,7 @@ def _draw_zoom(axes, curves: ContactCurves) -> None:
     x = np.linspace(-0.05, 0.0, 501)
     force = curves.normal("paper", x)
     inset.set_facecolor("white")
-    inset.plot(1e3 * x, force, color=BLUE)
+    inset.plot(1e3 * x, force, color=_MODEL)
     inset.set_xlim(-50.0, 0.0)
     inset.set_ylim(0.0, 1.15 * np.max(force))
     inset.tick_params(labelsize=7.0)
@@ -926,13 +933,13 @@ def draw_friction(curves: ContactCurves):
     axes.plot(
         ratio,
         friction_coefficient("paper", speed, dry),
-        color=BLUE,
+        color=_MODEL,
         label="paper, $\\mu_2$",
     )
     axes.plot(
         ratio,
         friction_coefficient("paper", speed, paper),
-        color=BLUE,
+        color=_MODEL,
         linestyle=(0, (4, 1.5)),
         label=r"paper, $\mu_1 + \mu_2$ ($u_v$ = "
         f"{curves.viscous_friction:g} s/m)",
@@ -941,7 +948,7 @@ def draw_friction(curves: ContactCurves):
     axes.plot(
         ratio,
         friction_coefficient("simbody", speed, simbody),
-        color=ORANGE,
+        color=_SECOND,
         linewidth=1.2,
         label="simbody, without viscous part",
     )
@@ -968,14 +975,18 @@ def draw_friction(curves: ContactCurves):
 
 def _mark_level(axes, level: float, text: str, start: float):
     """A friction coefficient on the axis, and where it is reached."""
-    axes.plot([0.0, start], [level, level], color=GREY, linewidth=0.7, zorder=1)
-    axes.plot([start, start], [0.0, level], color=GREY, linewidth=0.7, zorder=1)
+    axes.plot(
+        [0.0, start], [level, level], color="0.4", linewidth=0.7, zorder=1
+    )
+    axes.plot(
+        [start, start], [0.0, level], color="0.4", linewidth=0.7, zorder=1
+    )
     axes.annotate(
         text,
         (0.0, level),
         xytext=(4.0, 2.0),
         textcoords="offset points",
-        color=GREY,
+        color="0.4",
         fontsize=8.0,
     )
 
@@ -991,18 +1002,15 @@ def write_figures(folder: Path, curves: ContactCurves) -> list[Path]:
         The files written.
     """
     files = []
-    with matplotlib.rc_context(_STYLE):
-        for name, draw in (
-            ("figure_8_normal_force", draw_normal_force),
-            ("figure_9_friction", draw_friction),
-        ):
+    for name, draw in (
+        ("figure_8_normal_force", draw_normal_force),
+        ("figure_9_friction", draw_friction),
+    ):
+        with matplotlib.rc_context(STYLE):
             figure = draw(curves)
-            for suffix, metadata in (
-                ("png", {"Software": None}),
-                ("pdf", {"CreationDate": None}),
-            ):
-                files.append(Path(folder) / f"{name}.{suffix}")
-                figure.savefig(files[-1], metadata=metadata)
+        for suffix in ("png", "pdf"):
+            files.append(Path(folder) / f"{name}.{suffix}")
+            save_figure(files[-1], figure)
     files.append(Path(folder) / "summary.json")
     write_json(files[-1], measures(curves))
     return files

@@ -9,18 +9,18 @@ near. Every view has the same scale, in millimetres.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import matplotlib
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import TwoSlopeNorm
+from matplotlib.colors import PowerNorm, TwoSlopeNorm
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 from matplotlib.tri import Triangulation
 from scipy.spatial import ConvexHull
 
-from drake_exo.files.output import save_figure
+from drake_exo.files.output import COLOURS, STYLE
 from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import (
@@ -106,33 +106,19 @@ _GAP, _BETWEEN = 14.0, 24.0  # mm between views, and between soles
 _HEAD, _FOOT = 0.4, 0.75  # inches above and below the soles
 _LEAST_ERROR = 1e-8  # errors below are drawn there
 _INCH = 1.0 / 62.0  # inches a millimetre of sole
-_STYLE = {
-    "font.size": 10,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "legend.frameon": False,
-    "figure.constrained_layout.use": True,
-    "savefig.dpi": 150,
-}
+_AXES = {"x": COLOURS[1], "y": COLOURS[2], "z": COLOURS[0]}
 
 
 def style():
     """The style of all figures: a decorator, or a context to draw in."""
-    return matplotlib.rc_context(_STYLE)
+    layout = {"figure.constrained_layout.use": True}
+    return matplotlib.rc_context(STYLE | layout)
 
 
 def panels(rows: int, columns: int, size: tuple[float, float], **shared):
     """A figure of that many inches and its axes."""
     figure = Figure(figsize=size)
     return figure, figure.subplots(rows, columns, **shared)
-
-
-def save(figure: Figure, path: Path, mark: str = "") -> None:
-    """Write a figure in the style of all, see `save_figure`."""
-    with style():
-        save_figure(path, figure, mark)
 
 
 @style()
@@ -171,19 +157,15 @@ def load_figure(
     figure.colorbar(points, ax=left, label="time [s]", shrink=0.8)
     struck = 1e3 * load.zmp[list(load.begins)]
     left.plot(*struck.T, "o", mfc="none", mec="k", ms=9)
-    left.annotate(
-        "heel strike", 1e3 * load.zmp[0], (8, 5), textcoords="offset points"
-    )
     left.set(
         xlabel="x, forward [mm]",
         ylabel="y, left [mm]",
-        title="ZMP on the sole",
+        title="ZMP on the sole (○: heel strike)",
         aspect="equal",
     )
-    colours = ("red", "green", "blue")
-    for axis, force, colour in zip("xyz", load.force.T, colours, strict=True):
+    for (axis, colour), force in zip(_AXES.items(), load.force.T, strict=True):
         _over_time(right, load.begins, load.times, force,
-                   color=f"tab:{colour}", label=f"$F_{axis}$")  # fmt: skip
+                   color=colour, label=f"$F_{axis}$")  # fmt: skip
     right.set(xlabel="time [s]", ylabel="force [N]", title="Ground force")
     right.legend(ncols=3)
     return figure
@@ -232,7 +214,8 @@ def stiffness_figure(
         for label, (times, *both) in curves.items():
             look = {"color": "0.45", "ls": "--"}
             if label != "initial":
-                look = {"color": f"C{column + own.index(label)}"}
+                k = column + own.index(label)
+                look = {"color": COLOURS[k % len(COLOURS)]}
             t = times - times[0]
             for axis, values, scale in zip(
                 axes[:, column], both, (1e-3, 1.0), strict=True
@@ -242,7 +225,7 @@ def stiffness_figure(
         for axis in axes[:, column]:
             for k, (first, end) in enumerate(strikes):
                 axis.axvspan(
-                    t[first], t[end - 1], color="tab:orange", alpha=0.15,
+                    t[first], t[end - 1], color=COLOURS[4], alpha=0.15,
                     lw=0, label="" if k else "heel strike",
                 )  # fmt: skip
             axis.margins(x=0.01)
@@ -270,24 +253,26 @@ def pose_figure(columns: dict[str, np.ndarray]) -> Figure:
 
     figure, axes = panels(2, 2, (9.0, 6.0), sharex=True)
     (place, turn), (stable, nodes) = axes
-    for axis in "xyz":
+    for axis, colour in _AXES.items():
         values = columns[f"origin_{axis}_m"]
         offset = values[0] if axis == "z" else 0.0
         label = f"{axis} − {1e3 * offset:.1f} mm" if offset else axis
-        draw(place, 1e3 * (values - offset), label=label)
+        draw(place, 1e3 * (values - offset), label=label, color=colour)
     place.set(ylabel="origin [mm]", title="Place of the foot")
-    for name in ("roll", "pitch", "yaw"):
-        draw(turn, columns[f"{name}_deg"], label=name)
+    turns = ("roll", "pitch", "yaw")
+    for name, colour in zip(turns, _AXES.values(), strict=True):
+        draw(turn, columns[f"{name}_deg"], label=name, color=colour)
     turn.set(ylabel="angle [°]", title="Orientation (Rx·Ry·Rz)")
     draw(stable, 1e-3 * columns["stability_n_per_m"], color="k")
-    stable.axhline(0.0, color="tab:red", lw=1, ls="--")
+    stable.axhline(0.0, color=COLOURS[1], lw=1, ls="--")
     stable.set(
         xlabel="time [s]",
-        ylabel="[kN/m]",
+        ylabel="eigenvalue [kN/m]",
         title=r"Stability: least eigenvalue of $S\,\mathrm{sym}(-K_c)\,S$",
     )
     draw(nodes, columns["nodes_in_contact"], color="k")
-    nodes.set(xlabel="time [s]", title="Nodes in contact", ylim=(0, None))
+    nodes.set(xlabel="time [s]", ylabel="number", ylim=(0, None))
+    nodes.set_title("Nodes in contact")
     place.legend()
     turn.legend()
     return figure
@@ -345,8 +330,8 @@ def _pressed(axis, mesh: TetMesh, kpa: np.ndarray, largest=None):
         kpa,
         shading="gouraud",
         cmap="inferno",
-        vmin=0,
-        vmax=largest,
+        # The sole in mid-stance bears a tenth of what it bears at heel strike.
+        norm=PowerNorm(0.5, 0.0, largest),
     )
 
 
@@ -368,6 +353,7 @@ def histories_figure(histories: Mapping[str, Mapping[str, np.ndarray]]):
         histories: Name -> columns of history.csv, each (N,).
     """
     figure, axes = _columns(len(histories), 5.0, sharex="col")
+    entries = ((), ())
     for column, (name, trace) in enumerate(histories.items()):
         cost, error = axes[:, column]
         cost.set_title(_as_written(name))
@@ -384,12 +370,13 @@ def histories_figure(histories: Mapping[str, Mapping[str, np.ndarray]]):
         for key, label, look in (
             ("dual_infeasibility", "dual infeasibility", {"color": "k"}),
             ("violation", "constraint violation",
-             {"color": "tab:red", "ls": ":"}),
+             {"color": COLOURS[1], "ls": ":"}),
         ):  # fmt: skip
             error.semilogy(x, np.maximum(trace[key], _LEAST_ERROR),
                            label=label, **look)  # fmt: skip
         cost.legend(fontsize=8)
-        error.legend(fontsize=8)
+        entries = error.get_legend_handles_labels()
+    figure.legend(*entries, fontsize=8, ncols=2, loc="outside lower center")
     axes[0, 0].set_ylabel(r"cost $c/|c_0|$ with regulariser")
     axes[1, 0].set_ylabel("scaled error")
     return figure
@@ -408,7 +395,7 @@ def pareto_figure(
     """
     figure, axis = panels(1, 1, (6.0, 4.2))
     for k, row in enumerate(rows):
-        colour = f"C{k}"
+        colour = COLOURS[k % len(COLOURS)]
         axis.plot(row["ratio_tr"], row["ratio_rot"], "o", color=colour,
                   label=_as_written(row["name"]))  # fmt: skip
         if paper and row["name"] in paper:
@@ -428,6 +415,8 @@ def pareto_figure(
         xlabel=r"$c^{tr}$ over the brick's (less is better)",
         ylabel=r"$c^{rot}$ over the brick's (more is better)",
     )
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.xaxis.set_major_formatter("{x:g}")
     axis.legend()
     return figure
 
@@ -570,8 +559,12 @@ def drawing_figure(mesh: TetMesh, name: str, peak: np.ndarray) -> Figure:
     for x, letter in zip(at, "ABC", strict=True):
         above.plot([x, x], [low[1] - 3, high[1] + 3], "k-.", lw=0.7)
         above.text(x, high[1] + 4, letter, ha="center", va="bottom")
-    _shaded(below, mesh, View("", (0, 0, -1), (0, -1, 0)), "from below")
-    _shaded(side, mesh, View("", (0, -1, 0)), "right side")
+    for axis, view in (
+        (below, View("from below", (0, 0, -1), (0, -1, 0))),
+        (side, View("right side", (0, -1, 0))),
+    ):
+        _shaded(axis, mesh, view, view.name)
+        _ends(axis, mesh, mesh, view)
     _dimension(side, (high[0] + 7, low[2]), (0, height), f"{height:.1f}")
     middle = 0.5 * (low[1] + high[1])
     _section(along, mesh, 1, middle, lambda p: p[:, [0, 2]])
@@ -674,4 +667,4 @@ def _peak(figure, axis, mesh: TetMesh, peak: np.ndarray) -> None:
     axis.plot(*place[top], "x", color="cyan")
     axis.set_ylim(place[:, 1].min() - _MARGIN, place[:, 1].max() + _MARGIN)
     axis.set_title(f"largest pressure of the step; ×: {kpa[top]:.0f} kPa")
-    figure.colorbar(drawn, ax=axis, label="kPa", shrink=0.8)
+    figure.colorbar(drawn, ax=axis, label="pressure [kPa]", shrink=0.8)

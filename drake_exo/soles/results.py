@@ -10,7 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.output import SOLVED, Check, Verdict, write_json
+from drake_exo.files.output import (
+    SOLVED,
+    Check,
+    Verdict,
+    save_figure,
+    write_json,
+)
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
 from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.contact.newton import ContactSolver
@@ -612,7 +618,7 @@ class Step:
         }
         for name, figure in drawn.items():
             if figure is not None:
-                pictures.save(figure, folder / f"{name}.png", mark)
+                save_figure(folder / f"{name}.png", figure, mark)
         self.write_animation(folder / "animation.html", mark)
 
     def write(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
@@ -145,3 +146,8 @@ def test_without_a_mark_nothing_is_drawn(tmp_path):
     figure = Figure((2.0, 2.0))
     save_figure(tmp_path / "a.png", figure)
     assert not figure.texts
+
+
+def test_a_figure_is_as_fine_as_print_needs_wherever_it_is_saved(tmp_path):
+    save_figure(tmp_path / "a.png", Figure((3.0, 2.0)))
+    assert imread(tmp_path / "a.png").shape[:2] == (400, 600)

@@ -152,9 +152,9 @@ def test_the_papers_designs_are_drawn_by_their_ratios(tmp_path, monkeypatch):
     monkeypatch.setattr(
         pictures, "pareto_figure", lambda *said: seen.extend(said)
     )
-    monkeypatch.setattr(pictures, "save", lambda *said: seen.extend(said))
+    monkeypatch.setattr(paper, "save_figure", lambda *said: seen.extend(said))
     paper.draw_front(tmp_path, {"a": []}, ["row"], "mark")
-    fronts, rows, ratios, _, path, mark = seen
+    fronts, rows, ratios, path, _, mark = seen
     assert (fronts, rows, mark) == ({"a": []}, ["row"], "mark")
     assert path == tmp_path / "front.png"
     hand = {

@@ -60,7 +60,7 @@ def test_figure_8_draws_each_law_in_millimetres():
         expected = 1.0 + 1.5 * 2.0 * rate
         assert moving[deep] / rest[deep] == pytest.approx(expected, rel=0.02)
         assert len(moving) == len(x)
-    assert axes.get_xlabel() == "indentation (mm)"
+    assert axes.get_xlabel() == "indentation [mm]"
     for label in drawn:
         if "rest" in label or "m/s" in label:
             np.testing.assert_allclose(drawn[label][0][[0, -1]], [-50, 20])

@@ -1,6 +1,7 @@
 """What is drawn: curves, bands, labels and units, read from the axes."""
 
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,6 +18,9 @@ from drake_exo.contact.strap import CuffDesign, Design
 from drake_exo.measurement.quality import TrialQuality
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce
+from drake_exo.model.assembly import Assembly, Person
+from drake_exo.model.description import nominal_human
+from drake_exo.model.plant import Model
 from drake_exo.report import figures
 
 DEGREES = 180.0 / np.pi
@@ -61,6 +65,26 @@ def test_five_results_look_each_its_own_way_and_all_are_named(trials, found):
     looks = {(x.get_color(), x.get_linestyle()) for x in drawn}
     assert len(drawn) == len(looks) == 6
     assert " _old" in {x.get_label() for x in drawn}
+
+
+@undrawn()
+def test_what_is_shown_has_its_colour_in_every_figure(trials, found):
+    """The model, C1 and calibrated are one colour; uncalibrated is another."""
+
+    def used(*names):
+        runs = dict.fromkeys(names, found)
+        return colours(figures.kinematics_figure(runs, trials).axes[0])
+
+    model, phases = used("model"), used("C1", "C2", "C1 uncalibrated")
+    both = used("calibrated", "uncalibrated")
+    calibrated = {
+        model["model"], model["model, exoskeleton"], phases["C1"],
+        both["calibrated"],
+        *colours(figures.overview_figure(found[0], trials[0]).axes[0]).values(),
+    } - {model["measured"], model["measured, exoskeleton"]}  # fmt: skip
+    assert len(calibrated) == 1
+    assert both["uncalibrated"] == phases["C1 uncalibrated"]
+    assert len({*calibrated, both["uncalibrated"], phases["C2"]}) == 3
 
 
 @undrawn()
@@ -258,24 +282,24 @@ def test_quality_shows_what_was_loaded():
     figure = figures.quality_figure(trial, quality)
     panels = {ax.get_title(): ax for ax in figure.axes}
     t = 3.0 + trial.times
-    drawn = lines(panels["angles"])
+    drawn = lines(panels["joint angles"])
     moments = lines(panels["joint moments"])
     for k, joint in enumerate(JOINTS):
         same(drawn[joint], t, DEGREES * trial.q[:, 3 + k])
         same(moments[joint], t, trial.moments[:, k])
-    used = colours(panels["angles"])
+    used = colours(panels["joint angles"])
     assert used["knee"] == used["exo_knee"] != used["hip"]
     forces = lines(panels["forces on the body"])
-    same(forces["feet F_x"], t, trial.ground.force[:, 0])
-    same(forces["feet F_z"], t, trial.ground.force[:, 1])
-    same(forces["chair F_z"], t, np.full(201, 50.0))
+    same(forces["feet $F_x$"], t, trial.ground.force[:, 0])
+    same(forces["feet $F_z$"], t, trial.ground.force[:, 1])
+    same(forces["chair $F_z$"], t, np.full(201, 50.0))
     missed = lines(panels["missed by Newton's law"])
-    for k, name in enumerate(("F_x [N]", "F_z [N]", "M [N m]")):
+    for k, name in enumerate(("$F_x$ [N]", "$F_z$ [N]", "$M$ [N m]")):
         same(missed[name], t, residual[:, k])
     (mat,) = lines(panels["mats: normal force on the human"]).values()
     same(mat, t, trial.cuffs["thigh"].normal)
     markers = panels["markers' distance from the model"]
-    assert markers.get_xlabel() == "mm"
+    assert markers.get_xlabel() == "RMS [mm]"
     assert [b.get_width() for b in markers.patches] == [3.0, 12.0]
     names = [label.get_text() for label in markers.get_yticklabels()]
     assert names == ["GOOD", "WORSE"]
@@ -284,8 +308,16 @@ def test_quality_shows_what_was_loaded():
     last = figure.axes[-1]
     assert last.get_title() == "markers' distance from the model, 24 of 60"
     assert last.get_yticklabels()[-1].get_text() == "M59"
-    units = {title: ax.get_ylabel() for title, ax in panels.items()}
-    assert (units["angles"], units["joint moments"]) == ("deg", "N m")
+    labels = {title: ax.get_ylabel() for title, ax in panels.items()}
+    labels.pop("markers' distance from the model")
+    assert labels == {
+        "joint angles": "angle [°]",
+        "forces on the body": "force [N]",
+        "missed by Newton's law": "force [N], moment [N m]",
+        "joint moments": "moment [N m]",
+        "mats: normal force on the human": "force [N]",
+    }
+    assert {panels[name].get_xlabel() for name in labels} == {"time [s]"}
     nothing = replace(trial, moments=None, cuffs={}, chair=None)
     figure = figures.quality_figure(nothing, quality)
     said = [[x.get_text() for x in ax.texts] for ax in figure.axes]
@@ -448,13 +480,16 @@ def test_what_is_to_be_built_is_told_in_words(design, words):
 
 def test_a_design_s_front_is_force_against_work():
     rows = [
-        {"work_j": w, "norm_n": n, "success": n < 99.0, "dominated": n > 60.0}
+        {"share": 0.1 * w, "work_j": w, "norm_n": n, "success": n < 99.0,
+         "dominated": n > 60.0}
         for w, n in ((5.0, 70.0), (7.0, 99.0), (9.0, 50.0))
-    ]
+    ]  # fmt: skip
     (ax,) = figures.design_front_figure(rows).axes
     line, best = ax.get_lines()
     np.testing.assert_array_equal(line.get_data(), [[5.0, 9.0], [70.0, 50.0]])
     np.testing.assert_array_equal(best.get_data(), [[9.0], [50.0]])
+    found = {a.get_text(): a.xy for a in ax.texts}
+    assert found == {"×0.5": (5.0, 70.0), "×0.9": (9.0, 50.0)}
 
 
 @pytest.mark.slow
@@ -469,6 +504,55 @@ def test_a_legend_leaves_room_for_the_titles(trials, found):
         titles = [ax.title.get_window_extent(drawn) for ax in figure.axes]
         assert max(t.y1 for t in titles) < legend.y0
         assert all(ax.get_visible() for ax in figure.axes)
+
+
+@pytest.mark.slow
+def test_many_trials_of_long_names_stay_apart(trials, found):
+    """Titles do not touch, nor is a figure too wide for a screen."""
+    name = "subject_07_assisted_standing_up_slow_second"
+    many = [replace(trials[0], name=f"{name}_{k:02d}") for k in range(12)]
+    runs = {"model": found[:1] * 12}
+    figure = figures.interaction_figure(runs, many)
+    assert figure.get_size_inches()[0] < 20.0
+    FigureCanvasAgg(figure)
+    drawn = figure.canvas.get_renderer()
+    boxes = [a.title.get_window_extent(drawn) for a in figure.axes[:12]]
+    for left, right in pairwise(boxes):
+        assert left.x1 < right.x0
+    told = [a.get_title().replace("\n", "") for a in figure.axes[:12]]
+    assert told == [trial.name for trial in many]
+    at_a_glance = figures.overview_figure(found[0], many[0])
+    FigureCanvasAgg(at_a_glance)
+    drawn = at_a_glance.canvas.get_renderer()
+    below = at_a_glance.texts[0].get_window_extent(drawn)
+    assert below.y1 <= at_a_glance.legends[0].get_window_extent(drawn).y0
+
+
+def test_both_legs_joints_are_told_apart_without_hiding_curves():
+    """A joint has its colour, a side its dash; legends lie below."""
+    model = Model(Assembly(Person("two")), nominal_human())
+    names, one = model.coordinates, seen()
+    q = np.outer(one.times, np.arange(len(names)))
+    moments = q[:, names.joint_columns]
+    moved = {"q": q, "v": q, "a": q, "moments": moments, "cuffs": {}}
+    trial = replace(one, coordinates=names, **moved)
+    quality = TrialQuality(
+        **{
+            **dict.fromkeys(TrialQuality.__dataclass_fields__),
+            "residual": np.zeros((len(trial.times), 3)),
+            "marker_rms_m": {},
+        }
+    )
+    figure = figures.quality_figure(trial, quality)
+    ax = figure.axes[0]
+    drawn = {x.get_label(): x for x in ax.get_lines()}
+    left, right = drawn["knee_left"], drawn["knee_right"]
+    assert left.get_color() == right.get_color()
+    assert left.get_linestyle() != right.get_linestyle()
+    assert left.get_color() != drawn["hip_left"].get_color()
+    FigureCanvasAgg(figure).draw()
+    legend = ax.get_legend().get_window_extent()
+    assert legend.y1 < ax.bbox.y0
 
 
 @undrawn()

@@ -126,7 +126,11 @@ def test_dimensions_of_a_drawing_are_the_mesh_s():
     peak = np.zeros(len(mesh.contact))
     peak[3] = 123e3
     figure = pictures.drawing_figure(mesh.with_nodes(nodes), "wedge", peak)
-    above, _, side, along, across, pressed = figure.axes[:6]
+    above, below, side, along, across, pressed = figure.axes[:6]
+    for axis in (below, side):  # which end is which
+        ends = sorted(axis.texts, key=lambda text: text.get_position()[0])
+        words = [text.get_text() for text in ends]
+        assert [w for w in words if w.isalpha()] == ["heel", "toe"]
 
     def numbers(axis):
         texts = (text.get_text() for text in axis.texts)

@@ -252,7 +252,7 @@ def test_what_is_drawn_is_the_step_s(two, tmp_path, monkeypatch):
             pictures, f"{name}_figure",
             lambda *given, name=name: made.setdefault(name, given),
         )  # fmt: skip
-    monkeypatch.setattr(pictures, "save", lambda *_: None)
+    monkeypatch.setattr(results, "save_figure", lambda *_: None)
     monkeypatch.setattr(Step, "write_animation", lambda *_: None)
     two.draw(tmp_path, "", "mine", first=two)
     peak = two.pressure.max(axis=0)

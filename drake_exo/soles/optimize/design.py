@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.files.output import Check, Verdict, write_json
+from drake_exo.files.output import Check, Verdict, save_figure, write_json
 from drake_exo.soles.finite_strain import compare_strains, write_table
 from drake_exo.soles.mesh import (
     WALL,
@@ -420,7 +420,7 @@ class Design:
             ("shape", pictures.soles_figure([drawn])),
             ("history", pictures.histories_figure(histories)),
         ):
-            pictures.save(figure, folder / f"{name}.png", mark)
+            save_figure(folder / f"{name}.png", figure, mark)
 
     def _compare_strains(self, folder: Path, say, mark: str) -> dict:
         """Write the case, and the table of both strains."""
