@@ -25,7 +25,7 @@ for name, half in zip(known.names, known.half_width, strict=True):
     if name.endswith("stiffness"):
         value, true = found.parameter(name).nominal, truth[name]
         print(f"{name:28s} {value:6.0f} ± {half:5.0f}, true {true:.0f}")
-        left.errorbar(value / true, name, xerr=half / true, fmt="o")
+        left.errorbar(value / true, name, xerr=half / true, fmt="C0o")
 left.axvline(1.0, color="0.6", ls=":")
 left.set(xlim=(0.0, 2.5), xlabel="found / true, with 95 % intervals")
 for seen, model in zip(trials, found.trials, strict=True):

@@ -29,7 +29,7 @@ known = found.uncertainty()
 for name, half in zip(known.names, known.half_width, strict=True):
     value, true = found.parameter(name).nominal, truth[name]
     print(f"{name:16s} {value:10.4g} ± {half:8.2g}, true {true:.4g}")
-    left.errorbar(value / true, name, xerr=half / abs(true), fmt="o")
+    left.errorbar(value / true, name, xerr=half / abs(true), fmt="C0o")
 left.set_xlabel("found / true, with 95 % intervals")
 for k, (seen, model) in enumerate(zip(trials, found.trials, strict=True)):
     right.plot(seen.times, 1e3 * seen.ground.cop_x, f"C{k}", lw=3, alpha=0.4)

@@ -26,7 +26,7 @@ for scale in (0.5, 2.0, 1.0):
     lead = found.coordinate("exo_hip") - found.coordinate("hip")
     left.plot(found.times, np.rad2deg(lead), label=f"cuffs x {scale}")
     right.plot(found.times, found.cuff("pelvis").normal)
-left.set(xlabel="time [s]", ylabel="device's hip before the person's [deg]")
+left.set(xlabel="time [s]", ylabel="device's hip before the person's [°]")
 right.set(xlabel="time [s]", ylabel="normal force at the pelvis [N]")
 left.legend()
 scene = dx.Scene(made.model)

@@ -31,9 +31,8 @@ for thickness, pressed in zip((0.02, 0.04), axes[1], strict=True):
     x, y, _ = nodes[under].T
     shown = pressed.tricontourf(x, y, 1e-3 * step.pressure[middle, under], 20)
     fig.colorbar(shown, ax=pressed, label="pressure [kPa]")
-    pressed.set(
-        title=f"{label}, half-way", xlabel="forward [mm]", aspect="equal"
-    )
+    pressed.set(title=f"{label}, half-way", aspect="equal")
+    pressed.set(xlabel="forward [mm]", ylabel="left [mm]")
 axes[0, 0].set(xlabel="time [s]", ylabel="stiffest translation [N/m]")
 axes[0, 1].set(xlabel="time [s]", ylabel="softest rotation [N m/rad]")
 axes[0, 0].legend()

@@ -450,6 +450,8 @@ def _leaves(tree: Any, place: str):
 def _plain(value) -> str:
     if value is None:
         return "-"
+    if isinstance(value, list | tuple):
+        return f"({', '.join(map(_plain, value))})"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 

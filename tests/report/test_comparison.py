@@ -67,7 +67,7 @@ def leave(folder, trials, force, model=MODEL, contact=CONTACT, **more):
         "rmsd": rows,
         "measured_sd": {},
         "checks": [],
-        "settings": {"solver": {"tolerance": 1e-6}, "guess": "line"},
+        "settings": {"solver": {"tolerance": 1e-6}, "at": [0.0, 0.2]},
         "parameters": [
             {"name": "heel.x", "value": force, "unit": "m"},
         ],
@@ -78,7 +78,7 @@ def leave(folder, trials, force, model=MODEL, contact=CONTACT, **more):
 
 @pytest.fixture
 def folders(tmp_path, trials):
-    settings = {"solver": {"tolerance": 1e-8}, "guess": "line"}
+    settings = {"solver": {"tolerance": 1e-8}, "at": [0.0, 0.1 + 0.2]}
     return (
         leave(tmp_path / "anna" / "predict", trials, 5.0),
         leave(tmp_path / "bert" / "predict", trials, 20.0, settings=settings),
@@ -90,7 +90,10 @@ def test_side_by_side(folders, trials):
     found = compare(folders)
     assert found.labels == ("anna", "bert")
     assert found.trials == tuple(t.name for t in trials)
-    assert found.settings() == {"settings.solver.tolerance": ["1e-06", "1e-08"]}
+    assert found.settings() == {
+        "settings.solver.tolerance": ["1e-06", "1e-08"],
+        "settings.at": ["(0, 0.2)", "(0, 0.3)"],
+    }
     assert found.parameters() == {"heel.x [m]": ["5", "20"]}
     cuff = next(iter(trials[0].cuffs))
     assert found.rmsd()[f"normal force {cuff} [N]"] == ["5.00", "20.00"]
