@@ -226,7 +226,7 @@
   // --- Labels at the tips of arrows ---------------------------------------
   const product = (m, v) => [0, 1, 2, 3].map((i) =>
     m[i] * v[0] + m[4 + i] * v[1] + m[8 + i] * v[2] + m[12 + i] * v[3]);
-  const label = (arrow) => {
+  const label = (arrow, placed) => {
     const element = arrow.element;
     const on = arrow.tip && arrow.label && !hidden.has(arrow.root);
     element.style.display = on ? "block" : "none";
@@ -238,9 +238,16 @@
     const seen = product(camera.projectionMatrix.elements, product(
       camera.matrixWorldInverse.elements, [x, z, -y, 1]));
     const [width, height] = [window.innerWidth, window.innerHeight];
-    element.style.left = `${(seen[0] / seen[3] + 1) / 2 * width + 5}px`;
-    element.style.top = `${(1 - seen[1] / seen[3]) / 2 * height - 16}px`;
     element.textContent = `${arrow.label} ${arrow.size.toFixed(0)} N`;
+    const left = (seen[0] / seen[3] + 1) / 2 * width + 5;
+    const right = left + element.offsetWidth;
+    let top = (1 - seen[1] / seen[3]) / 2 * height - 16;
+    // Above those that it would lie on.
+    while (placed.some(([x, end, y]) =>
+      left < end && x < right && Math.abs(y - top) < 16)) top -= 4;
+    placed.push([left, right, top]);
+    element.style.left = `${left}px`;
+    element.style.top = `${top}px`;
   };
 
   // --- Controls ----------------------------------------------------------
@@ -344,7 +351,8 @@
       } else state.time = Math.min(end, state.time + dt * state.speed);
       draw();
     }
-    page.arrows.forEach(label);
+    const placed = [];
+    page.arrows.forEach((arrow) => label(arrow, placed));
     requestAnimationFrame(tick);
   };
 
