@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, fields
 from importlib.resources import files
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from drake_exo.batch.run import Batch, read_outcome
 from drake_exo.calibration.results import read_trial
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
+    COLOURS,
     FAILS,
     HOLDS,
     STYLE,
@@ -442,7 +444,7 @@ def summary(batch: Batch) -> dict:
 
 PREDICTED, MEASURED = "peak.predicted.", "peak.measured."
 _GROUPS = {
-    "rmsd.angles_deg": "RMSD of angles [deg]",
+    "rmsd.angles_deg": "RMSD of angles [°]",
     "rmsd.grf_n": "RMSD of ground reaction [N]",
     "rmsd.interaction_n": "RMSD of normal forces [N]",
     "rmsd.moments_nm": "RMSD of joint moments [N m]",
@@ -576,12 +578,13 @@ def _over_subjects(rows: list[Row]) -> Figure | None:
             sd = np.std(means, ddof=1) if len(means) > 1 else None
             ax.bar(k, np.mean(means), yerr=sd, color="#cfe2f3", capsize=3)
             ax.plot([k] * len(means), means, ".", color="0.2", ms=4)
-        ax.set_xticks(range(len(signals)), list(signals), rotation=60)
+        look = {"rotation": 60, "ha": "right", "rotation_mode": "anchor"}
+        ax.set_xticks(range(len(signals)), list(signals), **look)
         ax.set_ylabel(_GROUPS[group])
         counts = [len(of_subjects) for of_subjects in signals.values()]
         fewest, most = min(counts), max(counts)
         span = f"{most}" if fewest == most else f"{fewest} to {most}"
-        ax.set_title(f"n = {span}")
+        ax.set_title(f"{span} subject{'s' * (most > 1)}")
     figure.tight_layout()
     return figure
 
@@ -605,7 +608,7 @@ def _bland_altman(rows: list[Row]) -> Figure | None:
     for ax in axes[len(panels) :]:
         ax.set_visible(False)
     subjects = {row.subject: None for row in rows}
-    colours = {s: f"C{k % 10}" for k, s in enumerate(subjects)}
+    colours = dict(zip(subjects, cycle(COLOURS), strict=False))
     for ax, (signal, trials) in zip(axes, panels.items(), strict=False):
         pairs = [(t[PREDICTED], t[MEASURED]) for t in trials.values()]
         x = np.array([(a.value + b.value) / 2 for a, b in pairs])
@@ -618,17 +621,16 @@ def _bland_altman(rows: list[Row]) -> Figure | None:
         ):
             ax.axhline(level, color="0.3", ls=style, lw=0.9)
             ax.annotate(
-                f"{level:.3g}",
+                f" {level:.3g}",
                 (1.0, level),
                 xycoords=("axes fraction", "data"),
-                ha="right",
-                va="bottom",
+                va="center",
                 fontsize=7,
             )
         unit = pairs[0][0].unit
         ax.set_title(signal, fontsize=9)
         ax.set_xlabel(f"mean of both [{unit}]")
-        ax.set_ylabel(f"predicted - measured [{unit}]")
+        ax.set_ylabel(f"predicted − measured [{unit}]")
     figure.tight_layout()
     return figure
 
@@ -642,6 +644,6 @@ _FIGURES = {
     "bland_altman.png": (
         _bland_altman,
         "Predicted against measured: largest value of each trial; bias and "
-        "limits of agreement (1.96 SD)",
+        "limits of agreement (1.96 SD), subjects by colour",
     ),
 }

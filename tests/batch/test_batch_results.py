@@ -339,7 +339,7 @@ def test_a_panel_holds_differences_over_means():
     np.testing.assert_allclose(
         drawn, [bias, bias - 1.96 * sd, bias + 1.96 * sd]
     )
-    assert ax.get_ylabel() == "predicted - measured [N]"
+    assert ax.get_ylabel() == "predicted − measured [N]"
 
 
 def test_figures_of_what_does_not_hold_are_marked(tmp_path):
@@ -367,12 +367,12 @@ def test_bars_are_means_over_subjects():
     np.testing.assert_allclose(segment[:, 1], [5.0 - half, 5.0 + half])
     dots = ax.lines[-1].get_ydata()
     np.testing.assert_allclose(dots, [3.0, 7.0])
-    assert ax.get_title() == "n = 2"
+    assert ax.get_title() == "2 subjects"
     (alone,) = results._over_subjects(rows[:2]).axes
     assert not alone.collections  # one subject has no SD, not one of 0
     rows.append(_row("c", "1", "rmsd.grf_n.horizontal", 1.0))
     (ax,) = results._over_subjects(rows).axes
-    assert ax.get_title() == "n = 1 to 2"
+    assert ax.get_title() == "1 to 2 subjects"
 
 
 def test_numbers_of_an_earlier_study_are_not_told(batch):
