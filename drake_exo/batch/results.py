@@ -581,6 +581,7 @@ def _over_subjects(rows: list[Row]) -> Figure | None:
         look = {"rotation": 60, "ha": "right", "rotation_mode": "anchor"}
         ax.set_xticks(range(len(signals)), list(signals), **look)
         ax.set_ylabel(_GROUPS[group])
+        ax.set_ylim(0.0, None)
         counts = [len(of_subjects) for of_subjects in signals.values()]
         fewest, most = min(counts), max(counts)
         span = f"{most}" if fewest == most else f"{fewest} to {most}"

@@ -368,6 +368,9 @@ def test_bars_are_means_over_subjects():
     dots = ax.lines[-1].get_ydata()
     np.testing.assert_allclose(dots, [3.0, 7.0])
     assert ax.get_title() == "2 subjects"
+    rows[-1] = _row("b", "1", "rmsd.grf_n.vertical", 70.0)
+    (ax,) = results._over_subjects(rows).axes
+    assert ax.get_ylim()[0] == 0.0  # whatever the SD
     (alone,) = results._over_subjects(rows[:2]).axes
     assert not alone.collections  # one subject has no SD, not one of 0
     rows.append(_row("c", "1", "rmsd.grf_n.horizontal", 1.0))
