@@ -255,10 +255,12 @@ def moments_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
     def signal(joint):
         return lambda t: None if t.moments is None else t.moment(joint)
 
-    rows = [
-        (f"{joint.replace('exo_', 'exo. ')} [N m]", signal(joint))
-        for joint in trials[0].coordinates.joints
-    ]
+    names = trials[0].coordinates
+    rows = []
+    for joint in names.joints:
+        whose = "exo. " if joint in names.device else ""
+        label = f"{whose}{joint.removeprefix('exo_')} [N m]"
+        rows.append((label, signal(joint)))
     return _drawn(runs, trials, rows, height=1.35)
 
 
@@ -432,8 +434,8 @@ def quality_figure(trial: Trial, quality: TrialQuality) -> Figure:
             _by_joint(ax, trial, t, trial.moment)
         _finish_axes(ax, "joint moments", "moment [N m]")
         ax = axes[1, 1]
-        for name, force in trial.cuffs.items():
-            ax.plot(t, force.normal, label=name)
+        for name, look in _looks(trial.cuffs).items():
+            ax.plot(t, trial.cuffs[name].normal, label=name, **look)
         _finish_axes(ax, "mats: normal force on the human", "force [N]")
         _markers(axes[1, 2], quality)
         figure.suptitle(trial.name)
@@ -441,27 +443,36 @@ def quality_figure(trial: Trial, quality: TrialQuality) -> Figure:
 
 
 def _by_joint(ax, trial: Trial, t, signal: Callable) -> None:
-    """A signal of every joint: joints by colour, sides and device by dash."""
+    """A signal of every joint, the device's in the human's colour."""
     names = trial.coordinates
-    kinds = list(dict.fromkeys(without_side(name) for name in names.human))
+    looks = _looks(names.human)
     for joint in names.joints:
-        device = joint in names.device
-        human = names.follows(joint) if device else joint
-        right = human.endswith("_right")
-        ax.plot(
-            t,
-            signal(joint),
-            ("-.", ":")[device] if right else ("-", "--")[device],
-            color=COLOURS[kinds.index(without_side(human)) % len(COLOURS)],
-            label=joint,
-        )
+        look = looks[joint if joint in looks else names.follows(joint)]
+        if joint in names.device:
+            look = look | {"ls": ":" if look["ls"] == "-." else "--"}
+        ax.plot(t, signal(joint), label=joint, **look)
+
+
+def _looks(names) -> dict[str, dict]:
+    """A colour for each kind of names, a dash for each side."""
+    kinds = list(dict.fromkeys(map(without_side, names)))
+    return {
+        name: {
+            "color": COLOURS[kinds.index(without_side(name)) % len(COLOURS)],
+            "ls": "-." if name.endswith("right") else "-",
+        }
+        for name in names
+    }
 
 
 def _forces(ax, trial: Trial, t) -> None:
-    for color, (side, wrench) in zip(COLOURS, trial.soles.items()):  # noqa: B905
+    for side, wrench in trial.soles.items():
         foot = "feet" if side == "both" else side
-        ax.plot(t, wrench.force_x, "--", color=color, label=f"{foot} $F_x$")
-        ax.plot(t, wrench.force_z, color=color, label=f"{foot} $F_z$")
+        (look,) = _looks([side]).values()
+        for color, component in zip(COLOURS, "xz"):  # noqa: B905
+            look["color"] = color
+            force = getattr(wrench, f"force_{component}")
+            ax.plot(t, force, label=f"{foot} $F_{component}$", **look)
     if trial.chair is not None:
         ax.plot(t, trial.chair.force_z, color="0.4", label="chair $F_z$")
     _finish_axes(ax, "forces on the body", "force [N]")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
-from measured_trials import CUFFS, JOINTS, prediction, seen
+from measured_trials import CUFFS, JOINTS, NAMES, prediction, seen
 from replayed_results import CONTACT, solution
 from replayed_results import MODEL as COUPLED
 from undrawn import undrawn
@@ -19,6 +19,7 @@ from drake_exo.measurement.quality import TrialQuality
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce
 from drake_exo.model.assembly import Assembly, Person
+from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.description import nominal_human
 from drake_exo.model.plant import Model
 from drake_exo.report import figures
@@ -147,6 +148,14 @@ def test_moments_of_every_joint(trials, found):
             drawn = lines(ax)
             same(drawn["measured"], m.times, m.moments[:, k])
             same(drawn["model"], f.times, f.moments[:, k])
+    # A device of the user's own has names of its own.
+    own = Coordinates(
+        tuple(n.replace("exo_", "my_") for n in NAMES.names),
+        tuple(n.replace("exo_", "my_") for n in NAMES.device),
+    )
+    one = [replace(trials[0], coordinates=own)]
+    *_, last = panels(figures.moments_figure({"model": one}, one))
+    assert last == "exo. my_hip [N m]"
 
 
 @pytest.mark.slow
