@@ -604,19 +604,28 @@ def device_figure(designed) -> Figure:
             for joint in tree.joints:
                 _draw_link(axis, wearer.model, q, joint)
             _draw_ends(axis, wearer.model, q)
-            for cuff, (link, _) in tree.cuffs.items():
-                was, at = (
+            spots = {
+                cuff: [
                     tree.point_positions(q, link, np.array(b.origin))[0]
                     for b in (old[cuff], new.get(cuff, old[cuff]))
-                )
+                ]
+                for cuff, (link, _) in tree.cuffs.items()
+            }
+            below = np.inf  # the text above: those of both legs lie close
+            for cuff in sorted(spots, key=lambda c: -spots[c][1][1]):
+                was, at = spots[cuff]
                 axis.plot(*was, "o", mfc="none", mec=_BEFORE, ms=9)
                 axis.plot(*at, "o" if cuff in new else "x", color=_AFTER, ms=6)
                 if row == 0:
                     continue
+                text = told.get(cuff, f"{cuff}: as today")
+                half = 0.035 * (1 + text.count("\n"))  # m, of its height
+                height = min(at[1], below - half)
+                below = height - half
                 axis.annotate(
-                    told.get(cuff, f"{cuff}: as today"),
+                    text,
                     at,
-                    (at[0] + 0.25, at[1]),
+                    (at[0] + 0.25, height),
                     fontsize=7,
                     va="center",
                     arrowprops={"arrowstyle": "-", "lw": 0.5, "color": "0.5"},
@@ -649,6 +658,7 @@ def _head(figure: Figure, designed) -> None:
     beyond = designed.beyond()
     if beyond:
         text = f"{EXTRAPOLATED}: {', '.join(beyond)}"
+        text = _wrapped(text, figure.get_size_inches()[0])
         figure.suptitle(text, color=_AFTER, fontsize=9)
 
 

@@ -1,13 +1,14 @@
 """What is drawn: curves, bands, labels and units, read from the axes."""
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
+from matplotlib.text import Text
 from measured_trials import CUFFS, JOINTS, NAMES, prediction, seen
 from replayed_results import CONTACT, solution
 from replayed_results import MODEL as COUPLED
@@ -464,6 +465,17 @@ def test_a_designed_device_is_drawn_where_it_holds():
         assert text.xyann[0] > text.xy[0] + 0.1
         assert text.xyann[1] == text.xy[1]
         assert right.get_xlim()[1] > text.xyann[0] + 0.3
+    # Where cuffs lie close, as those of both legs, their texts do not, and
+    # what is beyond the calibrated stays on the figure.
+    close = {"thigh": CuffDesign(along_m=-0.4), "shank": CuffDesign(hinge=0.5)}
+    made.design, made.beyond = Design(close), lambda: ["thigh_of_the_left"] * 6
+    crowded = figures.device_figure(made)
+    FigureCanvasAgg(crowded).draw()
+    boxes = [Text.get_window_extent(t) for t in crowded.axes[1].texts]
+    for one, other in combinations(boxes, 2):
+        assert not one.overlaps(other)
+    head = crowded.texts[0].get_window_extent()
+    assert head.x0 >= 0.0 and head.x1 <= crowded.bbox.width
     assert left.get_title() == "start"
     assert right.get_title() == f"end of {trial.name}"
 
