@@ -469,7 +469,7 @@ def _forces(ax, trial: Trial, t) -> None:
     for side, wrench in trial.soles.items():
         foot = "feet" if side == "both" else side
         (look,) = _looks([side]).values()
-        for color, component in zip(COLOURS, "xz"):  # noqa: B905
+        for color, component in zip(COLOURS, "xz", strict=False):
             look["color"] = color
             force = getattr(wrench, f"force_{component}")
             ax.plot(t, force, label=f"{foot} $F_{component}$", **look)
