@@ -211,7 +211,7 @@ def test_what_cannot_be_simulated_is_refused(alone, tmp_path, capsys):
         (alone, {"movement": "jump"}, "has rise, squat, walk"),
         (alone, {"movement": "walk", "left_share": 0.6}, "leave it out for"),
         (alone, {"trials": 0}, "at least one trial"),
-        (alone, {"disturbances": ["gremlins"]}, "disturbances: there is no 'gremlins'"),
+        (alone, {"disturbances": ["gremlins"]}, "there is no 'gremlins'"),
         (tmp_path / "none.yaml", {}, "cannot be read"),
     ):
         with pytest.raises(InputError, match=words):
