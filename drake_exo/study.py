@@ -141,8 +141,8 @@ _SETTINGS = {
     "design": DesignSettings,
     "filter": Filter,
 }
-_OTHERS = ("name", "model", "sole", "device", "file", "root", "reads",
-           "_trials", "_loaded", "_judged")  # fmt: skip
+_PARTS = "name", "model", "sole", "device"
+_KEPT = "file", "root", "reads", "_trials", "_loaded", "_judged"
 
 
 class Study:
@@ -201,11 +201,9 @@ class Study:
         # A name that is misspelt would be kept, and never read.
         if name in _SETTINGS:
             value = schema.checked(value, _SETTINGS[name], name)
-        elif name not in _OTHERS:
-            known = [n for n in (*_SETTINGS, *_OTHERS) if n[0] != "_"]
-            raise AttributeError(
-                f"a study has no {name!r} to set{nearest(name, known)}"
-            )
+        elif name not in _PARTS + _KEPT:
+            near = nearest(name, (*_SETTINGS, *_PARTS))
+            raise AttributeError(f"a study has no {name!r} to set{near}")
         super().__setattr__(name, value)
 
     def __repr__(self) -> str:

@@ -173,6 +173,8 @@ def test_what_a_study_does_not_have_is_not_set():
         study.predicton = study.prediction
     with pytest.raises(AttributeError, match="no 'solver_tolerance' to set"):
         study.solver_tolerance = 1
+    with pytest.raises(AttributeError, match=r"no 'trials' to set$"):
+        study.trials = made.trials  # nor does it want 'reads'
     with pytest.raises(InputError, match=r"prediction is .*PredictionSettings"):
         study.prediction = study.interaction
     study.prediction = changed = replace(study.prediction, torque_limit_nm=90.0)
