@@ -417,6 +417,7 @@ def pareto_figure(
     )
     axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.xaxis.set_major_formatter("{x:g}")
+    axis.minorticks_off()  # of less than a decade Matplotlib labels some
     axis.legend()
     return figure
 

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from drake_exo.soles import pictures
@@ -363,6 +364,11 @@ def test_both_costs_over_the_brick_s():
     ]
     assert axis.lines[0].get_color() == axis.lines[1].get_color()
     assert "tr" in axis.get_xlabel() and "rot" in axis.get_ylabel()
+    axis.set_xlim(0.48, 2.4)
+    FigureCanvasAgg(axis.figure).draw()
+    ticks = axis.get_xticklabels(which="both")
+    shown = {t.get_text() for t in ticks if 0.48 < t.get_position()[0] < 2.4}
+    assert shown == {"0.5", "1", "2"}
 
 
 # Sheets
