@@ -22,7 +22,6 @@ from drake_exo.calibration.problem import Parts, PhaseProblem, PhaseResult
 from drake_exo.calibration.settings import InteractionSettings
 from drake_exo.calibration.uncertainty import DISCREPANCY, QUANTILE_95
 from drake_exo.contact.parameters import ContactModel, Posterior
-from drake_exo.errors import InputError
 from drake_exo.files.output import SOLVED, Check
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
@@ -30,8 +29,6 @@ from drake_exo.model.plant import Model
 # A clock is known if 95 % of what it may be is within this [s]: a device that
 # turns by 100 degrees a second is then known to a degree.
 LARGEST_DOUBT_S = 0.01
-# A spline of what encoders showed goes beyond a trial's end by as much [s].
-_LARGEST_LATE_S = 0.1
 _ORIGIN_M = 1e-3  # by which a cuff sits elsewhere from trial to trial
 
 
@@ -115,22 +112,12 @@ def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
 
     The error model shifts signals to first order, which a torque that sets in
     within a tenth of a second does not follow by tens of milliseconds.
-
-    Raises:
-        InputError: They lag by so much more than was taken out that the
-            trial's ends would be made up.
     """
     lags = {c.system: c.lag_s for c in own if c.system == "encoders"}
     if not lags:
         return trial
     taken_out = trial.provenance.get("delays_s", {})
     late = lags["encoders"] - taken_out.get("encoders", 0.0)
-    if abs(late) > _LARGEST_LATE_S:
-        raise InputError(
-            f"trial {trial.name}: its encoders lag by {late:+g} s besides what "
-            "was taken out, so that the trial does not hold what they showed "
-            "at its ends; give laboratory.encoder_delay_s"
-        )
     names, device = trial.coordinates, trial.coordinates.device_columns
 
     def shown(x: np.ndarray) -> np.ndarray:
