@@ -221,9 +221,9 @@
       label.textContent = box.label.slice(-42);
       parts.push(
         `<text x="${left - 8}" y="${y + 4}" text-anchor="end">${label.innerHTML} (${v.length})</text>`,
-        `<line x1="${x(ends[0])}" x2="${x(ends[ends.length - 1])}" y1="${y}" y2="${y}" stroke="#1f6fb4"/>`,
-        `<rect x="${x(a)}" y="${y - 7}" width="${Math.max(x(c) - x(a), 1)}" height="14" fill="#cfe2f3" stroke="#1f6fb4"/>`,
-        `<line x1="${x(b)}" x2="${x(b)}" y1="${y - 7}" y2="${y + 7}" stroke="#c8102e" stroke-width="2"/>`,
+        `<line x1="${x(ends[0])}" x2="${x(ends[ends.length - 1])}" y1="${y}" y2="${y}" stroke="#0072B2"/>`,
+        `<rect x="${x(a)}" y="${y - 7}" width="${Math.max(x(c) - x(a), 1)}" height="14" fill="#cfe2f3" stroke="#0072B2"/>`,
+        `<line x1="${x(b)}" x2="${x(b)}" y1="${y - 7}" y2="${y + 7}" stroke="#D55E00" stroke-width="2"/>`,
         ...v.map((u) => `<circle cx="${x(u)}" cy="${y}" r="2" fill="#222" fill-opacity="0.5"/>`));
     });
     place.innerHTML = `<svg width="${left + width + 80}" height="${drawn.length * line + 22}">`

@@ -41,7 +41,7 @@ Runs = Mapping[str, Sequence[Trial | None]]
 
 _MEASURED = {"color": "0.15", "lw": 1.6}
 _MEASURED_DEVICE = {"color": "0.6", "lw": 1.6}
-# The model is blue, in C2 as in the paper's figures red, uncalibrated green.
+# The model is blue, in C2 orange (the paper's are red), uncalibrated green.
 _MODEL, _SECOND, _UNCALIBRATED, *_MORE = COLOURS
 _RUNS = (_MODEL, _SECOND, *_MORE)
 _DASHES = ("--", "-.", (0, (5, 1, 1, 1, 1, 1)))  # the device's are ":"
