@@ -5,6 +5,7 @@ Imported at every start of the command, so it imports next to nothing.
 
 from collections.abc import Iterable, Mapping
 from math import isfinite
+from pathlib import Path
 
 _LONGEST = 120  # characters of another library's message
 _BOUNDS = (
@@ -99,6 +100,16 @@ def check_fields(values: object, what: str) -> None:
     for name, field in values.__dataclass_fields__.items():
         value = getattr(values, name)
         check_bounds(f"{what}: {name}", value, field.metadata)
+
+
+def check_data_root(root: Path) -> None:
+    """Refuse a folder for relative paths that is none.
+
+    Raises:
+        InputError: naming it.
+    """
+    if not root.is_dir():
+        raise InputError(f"{root}: is no folder; check data_root (--data-root)")
 
 
 def check_file_name(where: str, name: str) -> None:

@@ -66,7 +66,13 @@ from drake_exo.contact.parameters import (
     Posterior,
     nominal_contact,
 )
-from drake_exo.errors import InputError, check_bounds, check_type, nearest
+from drake_exo.errors import (
+    InputError,
+    check_bounds,
+    check_data_root,
+    check_type,
+    nearest,
+)
 from drake_exo.files import schema
 from drake_exo.files.output import (
     Check,
@@ -435,8 +441,7 @@ or directory); check the path
     """
     file = schema.load(path, StudyFile)
     root = Path(path).parent if data_root is None else Path(data_root)
-    if not root.is_dir():
-        raise InputError(f"{root}: is no folder; check data_root (--data-root)")
+    check_data_root(root)
     return RecordedStudy(file, root, Path(path))
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from drake_exo.errors import InputError
+from drake_exo.errors import check_data_root
 from drake_exo.files.output import (
     Check,
     Verdict,
@@ -87,10 +87,10 @@ def step_block(root: Path | None) -> LoadBlock:
     Raises:
         InputError: `root` is no folder.
     """
-    if root is not None and not root.is_dir():
-        raise InputError(f"{root}: is no folder; check data_root (--data-root)")
-    if root is not None and (root / AUTHORS_STEP).is_file():
-        return LoadBlock(one_foot=OneFoot(AUTHORS_STEP, AUTHORS_ORIGIN))
+    if root is not None:
+        check_data_root(root)
+        if (root / AUTHORS_STEP).is_file():
+            return LoadBlock(one_foot=OneFoot(AUTHORS_STEP, AUTHORS_ORIGIN))
     return LoadBlock(pattern=Pattern())
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import cycle
 from pathlib import Path
 
 import matplotlib
@@ -455,24 +456,27 @@ def _by_joint(ax, trial: Trial, t, signal: Callable) -> None:
 
 def _looks(names) -> dict[str, dict]:
     """A colour for each kind of names, a dash for each side."""
-    kinds = list(dict.fromkeys(map(without_side, names)))
+    kinds = dict.fromkeys(map(without_side, names))
+    colours = dict(zip(kinds, cycle(COLOURS), strict=False))
     return {
-        name: {
-            "color": COLOURS[kinds.index(without_side(name)) % len(COLOURS)],
-            "ls": "-." if name.endswith("right") else "-",
-        }
+        name: {"color": colours[without_side(name)], "ls": _dash(name)}
         for name in names
     }
+
+
+def _dash(name: str) -> str:
+    return "-." if name.endswith("right") else "-"
 
 
 def _forces(ax, trial: Trial, t) -> None:
     for side, wrench in trial.soles.items():
         foot = "feet" if side == "both" else side
-        (look,) = _looks([side]).values()
-        for color, component in zip(COLOURS, "xz", strict=False):
-            look["color"] = color
-            force = getattr(wrench, f"force_{component}")
-            ax.plot(t, force, label=f"{foot} $F_{component}$", **look)
+        for force, axis, color in (
+            (wrench.force_x, "x", COLOURS[0]),
+            (wrench.force_z, "z", COLOURS[1]),
+        ):
+            label = f"{foot} $F_{axis}$"
+            ax.plot(t, force, color=color, ls=_dash(side), label=label)
     if trial.chair is not None:
         ax.plot(t, trial.chair.force_z, color="0.4", label="chair $F_z$")
     _finish_axes(ax, "forces on the body", "force [N]")

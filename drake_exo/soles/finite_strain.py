@@ -559,7 +559,8 @@ def from_json(found: dict, name: Path | str) -> dict:
     try:
         sole = numbers(found)
         sole["samples"] = [numbers(row) for row in found["samples"]]
-        table({"": sole}), _columns({"": sole})
+        for written in (table, _columns):  # what is made of it
+            written({"": sole})
     except (AttributeError, LookupError, TypeError, ValueError):
         raise InputError(
             f"{name}: finite_strain is damaged; run drake-exo sole strain again"
