@@ -695,6 +695,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     ],
     "drake_exo/soles/optimize/search.py": [
         ("return -len(self.runs), *self", "return 0, *self"),
+        ("0.0 if outside else finer", "0.0"),
         ('_STRAIN_AIM * problem.limits["strain"]', 'problem.limits["strain"]'),
         ("step.c_rot / base.c_rot", "step.c_rot"),
         ("_AIM * floor * problem.first.c_rot", "_AIM * floor"),

@@ -31,7 +31,13 @@ from drake_exo.soles.load_blocks import (
     angle,
 )
 from drake_exo.soles.loads import Load, read_columns
-from drake_exo.soles.mesh import SphericalSpline, TetMesh, brick, read_mesh
+from drake_exo.soles.mesh import (
+    SphericalSpline,
+    TetMesh,
+    brick,
+    halved,
+    read_mesh,
+)
 from drake_exo.soles.numerics import rotation_z
 from drake_exo.soles.surface import (
     SUFFIXES,
@@ -214,6 +220,29 @@ def stage_mesh(own: TetMesh, stage: Stage) -> TetMesh:
             "and this mesh is none; leave them out"
         )
     return brick_like(own, stage.divisions)
+
+
+_MOST = 200_000  # elements of a finer mesh: some 4 GB
+
+
+def finer_mesh(own: TetMesh, stage: Stage) -> TetMesh | None:
+    """A finer one than `stage_mesh`; None where it had too many elements.
+
+    Of a brick one of at least twice the tets, of any other mesh one of eight
+    times as many, see `halved`.
+    """
+    if stage.divisions is not None:
+        return brick_like(own, _at_least_twice(stage.divisions))
+    return halved(own) if 8 * len(own.tets) <= _MOST else None
+
+
+def _at_least_twice(divisions) -> tuple[int, int, int]:
+    """Divisions with at least twice, and little more, cells."""
+    finer = np.ceil(2 ** (1 / 3) * np.array(divisions)).astype(int)
+    for one in np.eye(3, dtype=int):
+        if np.prod(finer - one) >= 2 * np.prod(divisions):
+            finer = finer - one
+    return tuple(finer.tolist())
 
 
 def brick_like(own: TetMesh, divisions: tuple[int, int, int]) -> TetMesh:

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from drake_exo.soles import settings
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.mesh import brick, halved
 from drake_exo.soles.optimize import design as module
-from drake_exo.soles.optimize.design import _at_least_twice
 from drake_exo.soles.optimize.files import Checkpoint
 from drake_exo.soles.optimize.limits import FEASIBLE
 from drake_exo.soles.optimize.optimizer import Optimum
@@ -162,7 +162,7 @@ def test_an_optimum_that_is_none_is_told(design):
 )  # fmt: skip
 def test_a_finer_mesh_has_twice_the_cells_and_few_more(divisions, by_hand):
     """1.26 times as many along each axis, or one less where that will do."""
-    found = _at_least_twice(divisions)
+    found = settings._at_least_twice(divisions)
     assert tuple(found) == by_hand
     wanted = 2 * np.prod(divisions)
     assert wanted <= np.prod(found) <= 1.3 * wanted
@@ -170,7 +170,7 @@ def test_a_finer_mesh_has_twice_the_cells_and_few_more(divisions, by_hand):
 
 def test_the_finer_check_is_a_simulation_on_a_finer_brick(design):
     finer = design.check_finer()
-    divisions = _at_least_twice((4, 3, 2))
+    divisions = settings._at_least_twice((4, 3, 2))
     assert finer["tets"] == 6 * np.prod(divisions)
     base = brick((0.23, 0.13, 0.03), divisions)
     shaped = base.with_nodes(
@@ -220,7 +220,7 @@ def test_an_own_mesh_is_checked_in_elements_of_half_the_size(
     assert finer["brick"]["c"] == pytest.approx(found.c, rel=1e-6)
     wanted = finer["design"]["c"] / given.step.c - 1
     assert finer["change"] == pytest.approx(wanted, rel=1e-9)
-    monkeypatch.setattr(module, "_MOST", 8 * len(mesh.tets) - 1)
+    monkeypatch.setattr(settings, "_MOST", 8 * len(mesh.tets) - 1)
     assert given.check_finer() is None
 
 

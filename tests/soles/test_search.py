@@ -8,6 +8,7 @@ import pytest
 
 from drake_exo.errors import InputError
 from drake_exo.jobs.engine import Here
+from drake_exo.soles import settings
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.optimize import search
@@ -319,6 +320,34 @@ def _fake_run(number, p, cost, violation=0.0):
     )
 
 
+def test_starts_are_compared_on_a_finer_mesh(case):
+    """Of at least twice the tets; what turns over there has no cost."""
+    stage = replace(case.settings.optimize.stages[0], divisions=(4, 3, 2))
+    p = start_design(stage_problem(case, stage), BOUNDS, 1)
+    finer = stage_problem(case, replace(stage, divisions=(5, 4, 3)))
+    found = search.cost_on_finer(case, stage, p)
+    assert found == finer.cost(p)
+    assert found != stage_problem(case, stage).cost(p)
+    assert search.cost_on_finer(case, stage, -p) is None
+    # Feasible first, then by that, one without behind the others.
+    rows = [(2.0, 0.0, 1.1), (1.0, 0.0, 1.2), (0.5, 0.0, None), (0.1, 0.5, 0.1)]
+    runs = [
+        replace(_fake_run(1, "p", cost, violation), cost_finer=finer)
+        for cost, violation, finer in rows
+    ]
+    assert sorted(runs[::-1], key=lambda run: run.rank) == runs
+
+
+def test_a_mesh_too_large_for_a_finer_one_is_not_compared(case, monkeypatch):
+    stage = replace(case.settings.optimize.stages[0], divisions=None)
+    most = 8 * len(case.mesh.tets)
+    p = first_design(stage_problem(case, stage), BOUNDS)
+    for limit, has_cost in ((most, True), (most - 1, False)):
+        monkeypatch.setattr(settings, "_MOST", limit)
+        found = search.cost_on_finer(case, stage, p)
+        assert (found is not None) is has_cost
+
+
 def test_a_start_that_went_further_is_ahead():
     runs = [_fake_run(1, "q", 5.0), _fake_run(2, "q", 4.0)]
     none = search.Found([], None)
@@ -418,22 +447,23 @@ def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
         return run
 
     monkeypatch.setattr(search, "_run_stage", run_stage)
-    setup = case.optimizing(starts=3)
+    stages = 2 * case.settings.optimize.stages
+    setup = case.optimizing(stages=stages, starts=3)
     run = search.from_start(setup, 2, 0, None, None, said.append)
     problem = stage_problem(case, case.settings.optimize.stages[0])
     bounds = tuple(case.settings.optimize.bounds)
     wanted = start_design(problem, bounds, 2)
     np.testing.assert_array_equal(asked[0].p, wanted)
     np.testing.assert_array_equal(asked[0].latest, wanted)
-    assert said == ["it goes"]
-    row = {"stage": 1, "cost": 2.0, "violation": 0.5}
+    assert said == ["it goes", "stage 1/2, on a finer mesh"]
+    row = {"stage": 1, "cost": 2.0, "violation": 0.5, "cost_finer": None}
     assert run.at.starts == (row,)
     again = search.from_start(setup, 2, 0, run.at, None, said.append)
     assert (again.optimum.cost, again.optimum.violation) == (2.0, 0.5)
     assert len(asked) == 1 and again.seconds == 0.0
     further = search.from_start(setup, 2, 1, run.at, None, said.append)
     assert asked[1] is run.at
-    row = {"stage": 2, "cost": 1.0, "violation": 0.5}
+    row = row | {"stage": 2, "cost": 1.0}
     assert further.at.starts == (*run.at.starts, row)
 
 

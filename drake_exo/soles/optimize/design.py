@@ -16,7 +16,6 @@ from drake_exo.soles.mesh import (
     WALL,
     SphericalSpline,
     TetMesh,
-    halved,
     is_watertight,
     mould_triangles,
     write_triangles,
@@ -35,12 +34,11 @@ from drake_exo.soles.optimize.limits import FEASIBLE
 from drake_exo.soles.optimize.optimizer import Optimum
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.results import Step, write_csv
-from drake_exo.soles.settings import Setup, brick_like
+from drake_exo.soles.settings import Setup, finer_mesh
 from drake_exo.soles.simulation import FIRST_HISTORY, HISTORY, write_history
 
 _ACTIVE = 0.01  # of a scaled limit
 _FINER = 0.03  # of c, on a finer mesh
-_MOST = 200_000  # elements of it: some 4 GB
 _ROUNDING = 0.01  # of a limit: the smoothed law on the way is not exact
 
 
@@ -220,18 +218,13 @@ class Design:
     def check_finer(self) -> dict | None:
         """The design on a finer mesh, beside the initial shape.
 
-        Of a brick one of at least twice the tets, of any other mesh one of
-        eight times as many, see `halved`. `change` and `brick_change` (of the
-        initial shape) are those of c against the last stage's mesh; NaN where
-        the design turns finer elements over. None where they were too many.
+        See `finer_mesh`. `change` and `brick_change` (of the initial shape) are
+        those of c against the last stage's mesh; NaN where the design turns
+        finer elements over. None where they were too many.
         """
-        divisions = self.setup.settings.optimize.stages[-1].divisions
-        own = self.setup.mesh
-        if divisions is not None:
-            base = brick_like(own, _at_least_twice(divisions))
-        elif 8 * len(own.tets) <= _MOST:
-            base = halved(own)
-        else:
+        last = self.setup.settings.optimize.stages[-1]
+        base = finer_mesh(self.setup.mesh, last)
+        if base is None:
             return None
         nodes = self.shape.deform(base.nodes, self.coefficients)
         first, shaped = map(self.setup.sole, (base, base.with_nodes(nodes)))
@@ -440,12 +433,3 @@ def verified(setup: Setup, problem, at: Checkpoint, optima, seconds) -> Design:
         for sole in (setup.sole(problem.deformed(at.p)), problem.first.sole)
     )
     return Design(setup, problem, at.p, step, first, optima, seconds, at.starts)
-
-
-def _at_least_twice(divisions) -> tuple[int, int, int]:
-    """Divisions with at least twice, and little more, cells."""
-    finer = np.ceil(2 ** (1 / 3) * np.array(divisions)).astype(int)
-    for one in np.eye(3, dtype=int):
-        if np.prod(finer - one) >= 2 * np.prod(divisions):
-            finer = finer - one
-    return tuple(finer.tolist())

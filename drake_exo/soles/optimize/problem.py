@@ -51,13 +51,15 @@ class ShapeProblem:
         stage: What mesh (of s = 1), which samples, and what smoothed law, r
             frozen; `picked` samples are simulated and weighted so that sums
             stand for all.
+        mesh: The stage's, or one that is given.
         branch: History of the last accepted design.
         first: The initial shape, for the scales.
     """
 
-    def __init__(self, setup: Setup, stage: Stage):
+    def __init__(self, setup: Setup, stage: Stage, mesh: TetMesh | None = None):
         self.setup, self.settings = setup, setup.settings
-        self.mesh, self.spline = stage_mesh(setup.mesh, stage), setup.spline()
+        self.mesh = stage_mesh(setup.mesh, stage) if mesh is None else mesh
+        self.spline = setup.spline()
         self.load, self.limits = setup.load, limits_of(setup.settings)
         block, cost = self.settings.optimize, self.settings.cost
         self.weight = cost.weight

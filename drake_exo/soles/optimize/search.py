@@ -1,8 +1,9 @@
 """The search for a shape: several starts, then stage by stage.
 
 After each stage but the last the better half of the starts goes on (successive
-halving: Jamieson and Talwalkar, AISTATS 2016). Ctrl-C leaves the best so far
-on disk.
+halving: Jamieson and Talwalkar, AISTATS 2016), by what they cost on a finer
+mesh: what a design wins by its elements is lost there. Ctrl-C leaves the best
+so far on disk.
 
 The front: c_tr alone under c_rot >= floor, from the lowest floor to the
 highest, the first from the case's own optimum, each further one from the point
@@ -42,7 +43,7 @@ from drake_exo.soles.optimize.optimizer import (
 )
 from drake_exo.soles.optimize.problem import ShapeProblem, WalkProblem
 from drake_exo.soles.results import Step
-from drake_exo.soles.settings import Setup, Stage, stage_mesh
+from drake_exo.soles.settings import Setup, Stage, finer_mesh, stage_mesh
 from drake_exo.soles.walking_pattern import Robot
 
 _CHECKPOINT_EVERY = 3  # iterations
@@ -54,18 +55,29 @@ _ROOM = 0.01  # of limits at the start
 _TRIES = 20  # bends that are drawn until one can be simulated
 
 
-def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
-    """The shape problem of one stage."""
-    return (WalkProblem if setup.gait else ShapeProblem)(setup, stage)
+def stage_problem(setup: Setup, stage: Stage, mesh=None) -> ShapeProblem:
+    """The shape problem of one stage, on its mesh or a given one."""
+    return (WalkProblem if setup.gait else ShapeProblem)(setup, stage, mesh)
 
 
 @dataclass
 class _Run:
-    """A stage from one start: outcome, seconds, where to go on."""
+    """A stage from one start: outcome, seconds, where to go on.
+
+    And, of one of several starts, its cost on a finer mesh.
+    """
 
     optimum: Optimum
     seconds: float
     at: Checkpoint
+    cost_finer: float | None = None
+
+    @property
+    def rank(self) -> tuple:
+        """Feasible ones first, then by their costs."""
+        outside, size = self.optimum.rank
+        finer = np.inf if self.cost_finer is None else self.cost_finer
+        return outside, 0.0 if outside else finer, size
 
 
 @dataclass
@@ -87,7 +99,7 @@ class Found:
     @property
     def rank(self) -> tuple:
         """Those that went further first, then by their newest optimum."""
-        return -len(self.runs), *self.runs[-1].optimum.rank
+        return -len(self.runs), *self.runs[-1].rank
 
     def after(self, run: _Run) -> "Found":
         """One stage further."""
@@ -312,15 +324,32 @@ def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
             at.p, row["cost"], violation=row["violation"],
             multipliers=at.multipliers,
         )  # fmt: skip
-        return _Run(done, 0.0, at)
+        return _Run(done, 0.0, at, row.get("cost_finer"))
     run = _run_stage(setup, number, at, out, say, problem)
-    best = run.optimum
+    best, began = run.optimum, time.perf_counter()
+    if _starts(setup) > 1:
+        say(f"stage {number + 1}/{len(block.stages)}, on a finer mesh")
+        run.cost_finer = cost_on_finer(setup, block.stages[number], best.p)
+        run.seconds += time.perf_counter() - began
     row = {
         "stage": number + 1, "cost": best.cost, "violation": best.violation,
+        "cost_finer": run.cost_finer,
     }  # fmt: skip
     run.at = replace(run.at, starts=(*run.at.starts, row))
     _keep(run.at, out)
     return run
+
+
+def cost_on_finer(setup: Setup, stage: Stage, p: np.ndarray) -> float | None:
+    """Scaled cost of a stage's design on a finer mesh.
+
+    None where that had too many elements, or the design turns some over.
+    """
+    mesh = finer_mesh(setup.mesh, stage)
+    if mesh is None:
+        return None
+    cost = stage_problem(setup, stage, mesh).cost(p)
+    return cost if np.isfinite(cost) else None
 
 
 def start_design(problem: ShapeProblem, bounds, bend: int) -> np.ndarray:
