@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import connected_components
 
 from drake_exo.errors import InputError
 from drake_exo.files.mesh import read_cells
+from drake_exo.soles.numerics import njit
 
 # The four faces of a tetrahedron, wound so that normals point outwards.
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
@@ -200,11 +201,7 @@ class TetMesh:
 
         12 (3 V)^(2/3) / Σ l² (Liu and Joe, BIT 34, 1994).
         """
-        i, j = EDGES.T
-        x = self.nodes[self.tets]
-        l2 = ((x[:, i] - x[:, j]) ** 2).sum(axis=(1, 2))
-        v = self.volumes
-        return 12.0 * np.sign(v) * (3.0 * np.abs(v)) ** (2 / 3) / l2
+        return qualities(self.nodes, self.tets)
 
     def edges(self) -> tuple[np.ndarray, np.ndarray]:
         """Nodes of every edge, lower first, (k, 2); each tet's six, (e, 6)."""
@@ -217,6 +214,59 @@ class TetMesh:
         """Matrices whose rows are x_a - x_0, (e, 3, 3)."""
         x = self.nodes[self.tets]
         return x[:, 1:] - x[:, :1]
+
+
+@njit()
+def qualities(nodes, tets):
+    """`TetMesh.quality` of tets (e, 4) of nodes (n, 3), (e,)."""
+    out, by_volume = np.empty(len(tets)), np.empty((4, 3))
+    for e in range(len(tets)):
+        V, l2, _ = _size(nodes[tets[e]], by_volume)
+        out[e] = 12.0 * np.sign(V) * (3.0 * abs(V)) ** (2 / 3) / l2
+    return out
+
+
+@njit()
+def quality_gradient(nodes, tets, share):
+    """∂/∂nodes of Σ share · quality [1/m], (n, 3); no volume may be 0."""
+    out, by_volume = np.zeros_like(nodes), np.empty((4, 3))
+    for e in range(len(tets)):
+        x = nodes[tets[e]]
+        V, l2, middle = _size(x, by_volume)
+        factor = 12.0 * np.sign(V) * (3.0 * abs(V)) ** (2 / 3) / l2 * share[e]
+        for a in range(4):
+            for i in range(3):
+                out[tets[e, a], i] += factor * (
+                    2 / 3 * by_volume[a, i] / V
+                    - 8.0 * (x[a, i] - middle[i]) / l2
+                )
+    return out
+
+
+@njit()
+def _size(x, by_volume):
+    """Volume, sum of squared edges and middle of a tet with corners (4, 3).
+
+    `by_volume` (4, 3) gets the volume's derivatives.
+    """
+    l2, middle = 0.0, np.zeros(3)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        by_volume[0, i] = 0.0
+        for a in range(3):
+            p, q = x[1 + (a + 1) % 3], x[1 + (a + 2) % 3]
+            slope = (p[j] - x[0, j]) * (q[k] - x[0, k])
+            slope -= (p[k] - x[0, k]) * (q[j] - x[0, j])
+            by_volume[1 + a, i] = slope / 6
+            by_volume[0, i] -= slope / 6
+        for a in range(4):
+            middle[i] += x[a, i] / 4
+            for b in range(a):
+                l2 += (x[a, i] - x[b, i]) ** 2
+    V = 0.0
+    for i in range(3):
+        V += by_volume[1, i] * (x[1, i] - x[0, i])
+    return V, l2, middle
 
 
 def normals_of(corners: np.ndarray) -> np.ndarray:

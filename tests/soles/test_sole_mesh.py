@@ -11,6 +11,8 @@ from drake_exo.soles.mesh import (
     brick,
     checked_mesh,
     halved,
+    qualities,
+    quality_gradient,
     read_mesh,
     write_triangles,
     write_vtk,
@@ -274,6 +276,21 @@ def test_quality_of_a_corner_and_of_one_turned_over():
     )
     np.testing.assert_allclose(mesh.quality(), [1, -1] * np.array(
         4 / 3 * 0.5 ** (2 / 3)))  # fmt: skip
+
+
+def test_slopes_of_quality():
+    """One of the tets is turned over."""
+    mesh = _cloud()
+    tets = mesh.tets.copy()
+    tets[0, :2] = tets[0, 1::-1]
+    rng = np.random.default_rng(3)
+    share, way = rng.uniform(size=len(tets)), rng.normal(size=mesh.nodes.shape)
+    h = 1e-6
+    ahead, behind = (
+        share @ qualities(mesh.nodes + s * h * way, tets) for s in (1, -1)
+    )
+    found = quality_gradient(mesh.nodes, tets, share)
+    assert (found * way).sum() == pytest.approx((ahead - behind) / (2 * h))
 
 
 @pytest.mark.parametrize(("out", "found"), [(0.01, True), (0.04, False)])

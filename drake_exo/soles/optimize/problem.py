@@ -16,7 +16,13 @@ from scipy.sparse import csr_matrix, diags, identity
 from drake_exo.errors import InputError
 from drake_exo.soles.contact.newton import ContactSolver
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import TetMesh, face_edges, scatter
+from drake_exo.soles.mesh import (
+    SphericalSpline,
+    TetMesh,
+    face_edges,
+    qualities,
+    quality_gradient,
+)
 from drake_exo.soles.optimize.adjoint import gradients, singular_terms
 from drake_exo.soles.optimize.limits import (
     Evaluation,
@@ -25,7 +31,7 @@ from drake_exo.soles.optimize.limits import (
     limits_of,
     soft_minimum,
 )
-from drake_exo.soles.settings import Setup, Stage, stage_mesh
+from drake_exo.soles.settings import Setup, Stage, finer_mesh, stage_mesh
 from drake_exo.soles.simulation import (
     heel_strike_count,
     sigma_max_translation,
@@ -66,6 +72,9 @@ class ShapeProblem:
         self.roughness = block.roughness * stage.roughness
         self.branch, self.evaluations, self._cache = None, 0, {}
         self.M, self.s0 = self.spline.basis(self.mesh.nodes)
+        finer = finer_mesh(setup.mesh, stage) if mesh is None else None
+        grids = [m for m in (self.mesh, finer) if m is not None]
+        self._whole = [_Elements(m, self.spline) for m in grids]
         self._sole = setup.sole(self.mesh)
         self.law = replace(
             setup.law(self._sole), layer=stage.layer_m, kappa=stage.kappa
@@ -82,7 +91,6 @@ class ShapeProblem:
         self.surface = SurfaceLimits(
             self.limits, self.mesh, (self.M != 0).any(axis=1)
         )
-        self._rest = self.mesh.quality()
         self.first = self.evaluate(self.undeformed)
         if self.first is None:
             raise InputError(
@@ -105,9 +113,13 @@ class ShapeProblem:
         """All samples of a design's step."""
         return self.load
 
+    def shape_of(self, p: np.ndarray) -> np.ndarray:
+        """The coefficients in a design, (k,)."""
+        return p
+
     def stretch(self, p: np.ndarray) -> np.ndarray:
         """Factor s at every node of the reference mesh (n,)."""
-        return self.M @ p + self.s0
+        return self.M @ self.shape_of(p) + self.s0
 
     def deformed(self, p: np.ndarray) -> TetMesh:
         """The mesh of a design; elements may be inverted."""
@@ -186,22 +198,26 @@ class ShapeProblem:
 
     def names(self) -> list[str]:
         """Names of the constraints, each to be at least 0."""
-        rigid = [name for name, *_ in self.shape_limits(self.mesh)]
+        rigid = [name for name, *_ in self.shape_limits(self.undeformed)]
         return rigid + list(self.limited)
 
     def shape_limits(
-        self, mesh: TetMesh
+        self, p: np.ndarray
     ) -> list[tuple[str, float, np.ndarray]]:
-        """Limits that take no simulation.
+        """Limits of a design that take no simulation.
 
         Name, scaled value and its derivatives by the coefficients.
         """
-        full, by = self.limits["volume"], self.by_coefficients
+        mesh, full, by = (
+            self.deformed(p),
+            self.limits["volume"],
+            self.by_coefficients,
+        )
         left, slope = 1 - mesh.volume / full, by(mesh.volume_gradient()) / full
-        others = [("elements", *self._elements(mesh))]
-        others += self.surface.evaluate(mesh)
+        others = self.surface.evaluate(mesh)
         return [
             ("volume", left, -slope),
+            ("elements", *self._elements(self.shape_of(p))),
             *((name, value, by(X)) for name, value, X in others),
         ]
 
@@ -210,7 +226,7 @@ class ShapeProblem:
         e = self.evaluate(p)
         if e is None:
             return np.full(len(self.names()), np.nan)
-        values = [value for _, value, _ in self.shape_limits(e.sole.mesh)]
+        values = [value for _, value, _ in self.shape_limits(p)]
         values += [limit(e)[0] for limit in self.limited.values()]
         return np.array(values)
 
@@ -244,7 +260,7 @@ class ShapeProblem:
             e.sole, e.solver, e.load, self.setup.start, e.history, parts
         )
         cost, *rows = map(self.by_coefficients, by_nodes)
-        shape = [row for *_, row in self.shape_limits(e.sole.mesh)]
+        shape = [row for *_, row in self.shape_limits(p)]
         return cost, np.array([*shape, *rows]), by_load
 
     def regularization(self, p: np.ndarray):
@@ -268,29 +284,48 @@ class ShapeProblem:
         largest = np.linalg.eigvalsh(bends)[-1]
         return np.eye(len(bends)) + _ROUGHEST * bends / largest
 
-    def _elements(self, mesh: TetMesh) -> tuple[float, np.ndarray]:
-        """Least quality of the elements above its floor; ∂/∂nodes.
+    def _elements(self, coefficients) -> tuple[float, np.ndarray]:
+        """Least quality of the elements above its floor, and its slope.
 
         The continuous map never inverts; discretised, an element does once
-        s varies within it. A design stays one that its elements resolve.
+        s varies within it. A design stays one that its elements resolve: finer
+        ones keep their quality, too.
         """
-        quality = mesh.quality()
+        parts = [part.quality(coefficients) for part in self._whole]
         value, share = soft_minimum(
-            quality / self._rest - _LEAST_QUALITY, _ELEMENT_SHARPNESS
+            np.concatenate(parts) - _LEAST_QUALITY, _ELEMENT_SHARPNESS
         )
-        share = share * quality / self._rest
-        # ∂ log V^(2/3) − ∂ log Σ l², over the six edges of each.
-        x = mesh.nodes[mesh.tets]
-        apart = 4 * (x - x.mean(axis=1, keepdims=True))
-        l2 = 4 * (x**2).sum(axis=(1, 2)) - (x.sum(axis=1) ** 2).sum(axis=1)
-        local = 2 / 3 * mesh.gradients - 2 * apart / l2[:, None, None]
-        out = np.zeros_like(mesh.nodes)
-        scatter(out, mesh.tets, share[:, None, None] * local)
-        return value, out
+        shares = np.split(share, np.cumsum([len(q) for q in parts])[:-1])
+        slopes = [
+            part.slope(coefficients, share)
+            for part, share in zip(self._whole, shares, strict=True)
+        ]
+        return value, sum(slopes)
 
     def by_coefficients(self, X: np.ndarray) -> np.ndarray:
         """Chain rule from node positions (n, 3) to coefficients (P,)."""
         return self.M.T @ (X * self.mesh.nodes).sum(axis=1)
+
+
+class _Elements:
+    """Elements whose quality, over their own at rest, a design changes."""
+
+    def __init__(self, mesh: TetMesh, spline: SphericalSpline):
+        self._nodes, self._tets = mesh.nodes, mesh.tets
+        self._M, self._s0 = spline.basis(mesh.nodes)
+        self._rest = mesh.quality()
+
+    def _moved(self, p) -> np.ndarray:
+        return (self._M @ p + self._s0)[:, None] * self._nodes
+
+    def quality(self, p: np.ndarray) -> np.ndarray:
+        """Of every element, (e,)."""
+        return qualities(self._moved(p), self._tets) / self._rest
+
+    def slope(self, p: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """Derivatives of Σ share · quality by the coefficients, (k,)."""
+        X = quality_gradient(self._moved(p), self._tets, share / self._rest)
+        return self._M.T @ (X * self._nodes).sum(axis=1)
 
 
 class WalkProblem(ShapeProblem):
@@ -324,9 +359,9 @@ class WalkProblem(ShapeProblem):
         except InputError:  # there is no such walk
             return None
 
-    def stretch(self, p: np.ndarray) -> np.ndarray:
-        """Factor s at every node of the reference mesh (n,)."""
-        return super().stretch(self._split(p)[0])
+    def shape_of(self, p: np.ndarray) -> np.ndarray:
+        """The coefficients in a design, (k,)."""
+        return self._split(p)[0]
 
     def names(self) -> list[str]:
         """Names of the constraints, each to be at least 0."""

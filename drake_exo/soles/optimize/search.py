@@ -459,7 +459,7 @@ def settle(problem: ShapeProblem, p: np.ndarray) -> np.ndarray:
     eye = np.eye(len(p)) * np.abs(H).max()
     if not H.any():
         return p
-    for amount in (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0):
+    for amount in (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0):
         # Curvature about the undeformed shape, all ones.
         trial = 1.0 + np.linalg.solve(eye + amount * H, eye @ (p - 1.0))
         values = problem.constraints(trial)
@@ -488,7 +488,7 @@ def nearest_allowed(problem: ShapeProblem, bounds, p) -> np.ndarray:
     metric = problem.metric[: len(p), : len(p)]
 
     def limits(s):
-        return problem.shape_limits(problem.deformed(np.append(s, walk)))
+        return problem.shape_limits(np.append(s, walk))
 
     def away(s):
         pull = metric @ (s - p)
