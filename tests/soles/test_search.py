@@ -196,7 +196,9 @@ def test_settling_is_a_step_of_the_heat_equation(monkeypatch):
     root = rng.standard_normal((5, 5))
     root -= root.mean(axis=1, keepdims=True)
     H, p = 2 * root.T @ root, 1 + rng.standard_normal(5)
-    for good, amount in enumerate((0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, None)):
+    for good, amount in enumerate(
+        (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, None)
+    ):
         asked = []
 
         def constraints(trial, asked=asked, good=good):
