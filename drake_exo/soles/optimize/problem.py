@@ -208,11 +208,8 @@ class ShapeProblem:
 
         Name, scaled value and its derivatives by the coefficients.
         """
-        mesh, full, by = (
-            self.deformed(p),
-            self.limits["volume"],
-            self.by_coefficients,
-        )
+        mesh, full = self.deformed(p), self.limits["volume"]
+        by = self.by_coefficients
         left, slope = 1 - mesh.volume / full, by(mesh.volume_gradient()) / full
         others = self.surface.evaluate(mesh)
         return [
