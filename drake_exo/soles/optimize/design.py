@@ -65,8 +65,8 @@ class Design:
         first: The initial shape likewise.
         optima: Outcome of every stage.
         stages_seconds: What each took.
-        starts: Cost and violation that every start has led to, and after
-            which stage.
+        starts: Cost and violation that every start has led to, after which
+            stage, and the cost on a finer mesh.
         seconds: What all of it took.
         gait: The walk that was sought with it: numbers before and after.
     """

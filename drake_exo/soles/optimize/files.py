@@ -35,8 +35,8 @@ class Checkpoint:
         curvature: Learnt Hessian (P, P).
         strain_scale: Of the design that the stage began with, see
             `search.strain_scale`.
-        starts: Of a start the cost and violation after every stage; of a run
-            those that each of its starts has led to.
+        starts: Of a start the cost, also on a finer mesh, and violation after
+            every stage; of a run those that each of its starts has led to.
         begun: Checkpoints of starts that were interrupted, None for those
             that had none; then there is no p yet.
         case: Its name; "" where a file of an earlier version does not say.
