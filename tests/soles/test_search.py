@@ -325,12 +325,17 @@ def _fake_run(number, p, cost, violation=0.0):
 def test_starts_are_compared_on_a_finer_mesh(case):
     """Of at least twice the tets; what turns over there has no cost."""
     stage = replace(case.settings.optimize.stages[0], divisions=(4, 3, 2))
-    p = start_design(stage_problem(case, stage), BOUNDS, 1)
+    problem = stage_problem(case, stage)
+    p = start_design(problem, BOUNDS, 1)
     finer = stage_problem(case, replace(stage, divisions=(5, 4, 3)))
-    found = search.cost_on_finer(case, stage, p)
-    assert found == finer.cost(p)
-    assert found != stage_problem(case, stage).cost(p)
-    assert search.cost_on_finer(case, stage, -p) is None
+    own = finer.cost(p) - finer.regularization(p)[0]
+    own *= finer.scales[0] / problem.scales[0]
+    found = problem.cost_on_finer(p) - problem.regularization(p)[0]
+    assert found == pytest.approx(own, rel=1e-9)
+    assert problem.cost_on_finer(-p) is None
+    # It stays itself.
+    again = stage_problem(case, stage)
+    assert problem.cost(p) == again.cost(p) != problem.cost_on_finer(p)
     # Feasible first, then by that, one without behind the others.
     rows = [(2.0, 0.0, 1.1), (1.0, 0.0, 1.2), (0.5, 0.0, None), (0.1, 0.5, 0.1)]
     runs = [
@@ -343,10 +348,10 @@ def test_starts_are_compared_on_a_finer_mesh(case):
 def test_a_mesh_too_large_for_a_finer_one_is_not_compared(case, monkeypatch):
     stage = replace(case.settings.optimize.stages[0], divisions=None)
     most = 8 * len(case.mesh.tets)
-    p = first_design(stage_problem(case, stage), BOUNDS)
     for limit, has_cost in ((most, True), (most - 1, False)):
         monkeypatch.setattr(settings, "_MOST", limit)
-        found = search.cost_on_finer(case, stage, p)
+        problem = stage_problem(case, stage)
+        found = problem.cost_on_finer(first_design(problem, BOUNDS))
         assert (found is not None) is has_cost
 
 
@@ -442,8 +447,7 @@ def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
     def run_stage(setup, number, at, out, say, problem):
         say("it goes")
         asked.append(at)
-        # That of its first design, if it has just begun.
-        assert (problem is None) == (at.iteration + at.stage > 0)
+        assert problem.stage is setup.settings.optimize.stages[number]
         run = _fake_run(number + 1, np.zeros(17), 2.0 - number, 0.5)
         run.at = replace(run.at, starts=at.starts)
         return run

@@ -6,6 +6,7 @@ gives first guesses. A failed simulation is NaN, which the solver takes as a
 rejected step; so is a first contact on another branch of poses.
 """
 
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 
@@ -57,23 +58,22 @@ class ShapeProblem:
         stage: What mesh (of s = 1), which samples, and what smoothed law, r
             frozen; `picked` samples are simulated and weighted so that sums
             stand for all.
-        mesh: The stage's, or one that is given.
+        finer: A finer mesh; None where it had too many elements.
         branch: History of the last accepted design.
         first: The initial shape, for the scales.
     """
 
-    def __init__(self, setup: Setup, stage: Stage, mesh: TetMesh | None = None):
+    def __init__(self, setup: Setup, stage: Stage):
         self.setup, self.settings = setup, setup.settings
-        self.mesh = stage_mesh(setup.mesh, stage) if mesh is None else mesh
-        self.spline = setup.spline()
+        self.mesh, self.spline = stage_mesh(setup.mesh, stage), setup.spline()
+        self.stage, self.finer = stage, finer_mesh(setup.mesh, stage)
         self.load, self.limits = setup.load, limits_of(setup.settings)
         block, cost = self.settings.optimize, self.settings.cost
         self.weight = cost.weight
         self.roughness = block.roughness * stage.roughness
         self.branch, self.evaluations, self._cache = None, 0, {}
         self.M, self.s0 = self.spline.basis(self.mesh.nodes)
-        finer = finer_mesh(setup.mesh, stage) if mesh is None else None
-        grids = [m for m in (self.mesh, finer) if m is not None]
+        grids = [m for m in (self.mesh, self.finer) if m is not None]
         self._whole = [_Elements(m, self.spline) for m in grids]
         self._sole = setup.sole(self.mesh)
         self.law = replace(
@@ -195,6 +195,21 @@ class ShapeProblem:
         if e is None:
             return np.nan
         return self._combined(e)[0] + self.regularization(p)[0]
+
+    def cost_on_finer(self, p: np.ndarray) -> float | None:
+        """The cost of the design simulated on the finer mesh, if there is one.
+
+        None, too, where it cannot be simulated there.
+        """
+        if self.finer is None:
+            return None
+        there = copy(self)
+        there.mesh, there.branch, there._cache = self.finer, None, {}
+        there.M, there.s0 = self.spline.basis(self.finer.nodes)
+        there._sole = self.setup.sole(self.finer)
+        there.law = replace(self.law, penalty=there._sole.penalty)
+        cost = there.cost(p)
+        return cost if np.isfinite(cost) else None
 
     def names(self) -> list[str]:
         """Names of the constraints, each to be at least 0."""

@@ -43,7 +43,7 @@ from drake_exo.soles.optimize.optimizer import (
 )
 from drake_exo.soles.optimize.problem import ShapeProblem, WalkProblem
 from drake_exo.soles.results import Step
-from drake_exo.soles.settings import Setup, Stage, finer_mesh, stage_mesh
+from drake_exo.soles.settings import Setup, Stage, stage_mesh
 from drake_exo.soles.walking_pattern import Robot
 
 _CHECKPOINT_EVERY = 3  # iterations
@@ -55,9 +55,9 @@ _ROOM = 0.01  # of limits at the start
 _TRIES = 20  # bends that are drawn until one can be simulated
 
 
-def stage_problem(setup: Setup, stage: Stage, mesh=None) -> ShapeProblem:
-    """The shape problem of one stage, on its mesh or a given one."""
-    return (WalkProblem if setup.gait else ShapeProblem)(setup, stage, mesh)
+def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
+    """The shape problem of one stage."""
+    return (WalkProblem if setup.gait else ShapeProblem)(setup, stage)
 
 
 @dataclass
@@ -307,30 +307,30 @@ def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
     `at` is where it stands, None to begin; `out` a folder for its
     checkpoint, None for none.
     """
-    block = setup.settings.optimize
+    began, block = time.perf_counter(), setup.settings.optimize
     if out is not None:
         out.mkdir(exist_ok=True)
-    problem = None
-    if at is None:
-        problem = stage_problem(setup, block.stages[0])
-        bounds = problem.within(block.bounds)
-        p = nearest_allowed(
-            problem, bounds, start_design(problem, bounds, bend)
-        )
-        at = Checkpoint(p=p, latest=p, case=setup.name, key=setup.key)
-    elif len(at.starts) > number:  # finished before an interruption
+    if at is not None and len(at.starts) > number:
+        # Finished before an interruption.
         row = at.starts[number]
         done = Optimum(
             at.p, row["cost"], violation=row["violation"],
             multipliers=at.multipliers,
         )  # fmt: skip
         return _Run(done, 0.0, at, row.get("cost_finer"))
+    problem = stage_problem(setup, block.stages[number])
+    if at is None:
+        bounds = problem.within(block.bounds)
+        p = nearest_allowed(
+            problem, bounds, start_design(problem, bounds, bend)
+        )
+        at = Checkpoint(p=p, latest=p, case=setup.name, key=setup.key)
     run = _run_stage(setup, number, at, out, say, problem)
-    best, began = run.optimum, time.perf_counter()
+    best = run.optimum
     if _starts(setup) > 1:
         say(f"stage {number + 1}/{len(block.stages)}, on a finer mesh")
-        run.cost_finer = cost_on_finer(setup, block.stages[number], best.p)
-        run.seconds += time.perf_counter() - began
+        run.cost_finer = problem.cost_on_finer(best.p)
+    run.seconds = time.perf_counter() - began
     row = {
         "stage": number + 1, "cost": best.cost, "violation": best.violation,
         "cost_finer": run.cost_finer,
@@ -338,18 +338,6 @@ def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
     run.at = replace(run.at, starts=(*run.at.starts, row))
     _keep(run.at, out)
     return run
-
-
-def cost_on_finer(setup: Setup, stage: Stage, p: np.ndarray) -> float | None:
-    """Scaled cost of a stage's design on a finer mesh.
-
-    None where that had too many elements, or the design turns some over.
-    """
-    mesh = finer_mesh(setup.mesh, stage)
-    if mesh is None:
-        return None
-    cost = stage_problem(setup, stage, mesh).cost(p)
-    return cost if np.isfinite(cost) else None
 
 
 def start_design(problem: ShapeProblem, bounds, bend: int) -> np.ndarray:
