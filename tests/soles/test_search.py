@@ -190,6 +190,20 @@ def test_a_bend_that_cannot_be_simulated_is_drawn_again(problem, monkeypatch):
     np.testing.assert_array_equal(asked[3], again)
 
 
+def test_bends_get_smaller_where_none_can_be_simulated(problem, monkeypatch):
+    asked = []
+
+    def constraints(self, p):
+        asked.append(np.std(p / p.mean()))
+        return np.full(3, np.nan)
+
+    monkeypatch.setattr(type(problem), "constraints", constraints)
+    found = start_design(problem, BOUNDS, 1)
+    np.testing.assert_array_equal(found, first_design(problem, BOUNDS))
+    means = np.mean(np.reshape(asked, (3, 20)), axis=1)
+    np.testing.assert_allclose(means / means[0], [1, 0.5, 0.25], rtol=0.2)
+
+
 def test_settling_is_a_step_of_the_heat_equation(monkeypatch):
     """The least amount that the mesh carries; ones stay as they are."""
     rng = np.random.default_rng(1)

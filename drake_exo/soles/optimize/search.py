@@ -52,7 +52,8 @@ _BEND, _WAVES = 0.03, 4  # of smooth random starts: size, waves along an axis
 # Of the strain that is allowed: what a stage changes, its scale does not know.
 _STRAIN_AIM = 0.98
 _ROOM = 0.01  # of limits at the start
-_TRIES = 20  # bends that are drawn until one can be simulated
+# Bends drawn until one can be simulated, then smaller ones.
+_TRIES, _SIZES = 20, (1.0, 0.5, 0.25)
 
 
 def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
@@ -355,9 +356,9 @@ def start_design(problem: ShapeProblem, bounds, bend: int) -> np.ndarray:
     T, p0 = problem.spline.free_map()
     grids = [np.linspace(0, np.pi, n + 2) for n in problem.spline.intervals]
     waves = [np.cos(np.outer(grid, np.arange(_WAVES))) for grid in grids]
-    for _ in range(_TRIES):
+    for size in np.repeat(_SIZES, _TRIES):
         bend = waves[0] @ rng.standard_normal((_WAVES, _WAVES)) @ waves[1].T
-        full = 1.0 + _BEND * bend.ravel()
+        full = 1.0 + size * _BEND * bend.ravel()
         p = np.linalg.lstsq(T.toarray(), full - p0, rcond=None)[0]
         p = first_design(problem, bounds, np.clip(p, *bounds))
         values = problem.constraints(p)
