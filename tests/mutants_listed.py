@@ -681,6 +681,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     "drake_exo/soles/mesh.py": [
         ("floor = 1e-9 * np.median(np.abs(mesh.volumes))", "floor = 1e-9"),
         ("WALL + np.ptp(mesh.nodes[:, 2])", "WALL"),
+        ("- 8.0 * (x[a, i]", "- 4.0 * (x[a, i]"),
     ],
     "drake_exo/soles/optimize/design.py": [
         ('1e6 * limits["volume"]', 'limits["volume"]'),
@@ -770,6 +771,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     ],
     "drake_exo/soles/optimize/problem.py": [
         ("others, by_walk[1:]", "others, 0 * by_walk[1:]"),
+        ("m in (self.mesh, self.finer) if", "m in (self.mesh,) if"),
+        ("share / self._rest", "share"),
     ],
     "drake_exo/soles/walking_pattern.py": [
         ("low, high = low - rows @ p0", "low, high = low + rows @ p0"),
