@@ -462,7 +462,7 @@ def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
         say("it goes")
         asked.append(at)
         assert problem.stage is setup.settings.optimize.stages[number]
-        run = _fake_run(number + 1, np.zeros(17), 2.0 - number, 0.5)
+        run = _fake_run(number + 1, np.zeros(17), 2.0 - number, 0.5 * number)
         run.at = replace(run.at, starts=at.starts)
         return run
 
@@ -476,15 +476,17 @@ def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
     np.testing.assert_array_equal(asked[0].p, wanted)
     np.testing.assert_array_equal(asked[0].latest, wanted)
     assert said == ["it goes", "stage 1/2, on a finer mesh"]
-    row = {"stage": 1, "cost": 2.0, "violation": 0.5, "cost_finer": None}
+    row = {"stage": 1, "cost": 2.0, "violation": 0.0, "cost_finer": None}
     assert run.at.starts == (row,)
     again = search.from_start(setup, 2, 0, run.at, None, said.append)
-    assert (again.optimum.cost, again.optimum.violation) == (2.0, 0.5)
+    assert (again.optimum.cost, again.optimum.violation) == (2.0, 0.0)
     assert len(asked) == 1 and again.seconds == 0.0
     further = search.from_start(setup, 2, 1, run.at, None, said.append)
     assert asked[1] is run.at
-    row = row | {"stage": 2, "cost": 1.0}
+    row = row | {"stage": 2, "cost": 1.0, "violation": 0.5}
     assert further.at.starts == (*run.at.starts, row)
+    # Outside of its limits it is not compared by its cost.
+    assert said[2:] == ["it goes"]
 
 
 # Walk and sole

@@ -34,7 +34,11 @@ from drake_exo.jobs.engine import (
 )
 from drake_exo.soles.optimize.design import Design, verified
 from drake_exo.soles.optimize.files import Checkpoint, start_folder
-from drake_exo.soles.optimize.limits import rotation_limit, strain_limit
+from drake_exo.soles.optimize.limits import (
+    FEASIBLE,
+    rotation_limit,
+    strain_limit,
+)
 from drake_exo.soles.optimize.optimizer import (
     WARM_BARRIER,
     Optimum,
@@ -328,7 +332,8 @@ def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
         at = Checkpoint(p=p, latest=p, case=setup.name, key=setup.key)
     run = _run_stage(setup, number, at, out, say, problem)
     best = run.optimum
-    if _starts(setup) > 1:
+    # Outside of their limits they are compared by how far.
+    if _starts(setup) > 1 and best.violation <= FEASIBLE:
         say(f"stage {number + 1}/{len(block.stages)}, on a finer mesh")
         run.cost_finer = problem.cost_on_finer(best.p)
     run.seconds = time.perf_counter() - began
