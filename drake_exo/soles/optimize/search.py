@@ -457,7 +457,8 @@ def settle(problem: ShapeProblem, p: np.ndarray) -> np.ndarray:
         # Curvature about the undeformed shape, all ones.
         trial = 1.0 + np.linalg.solve(eye + amount * H, eye @ (p - 1.0))
         values = problem.constraints(trial)
-        if np.isfinite(values).all() and values[1] >= 0:
+        # The optimum of the stage before is one to this tolerance.
+        if np.isfinite(values).all() and values[1] >= -FEASIBLE:
             return trial
     return p
 
