@@ -71,7 +71,7 @@ def test_the_nearest_design_that_its_shape_allows(problem, design):
     """What pulls it back is held by limits alone; within them it stays."""
 
     def limits(p):
-        return problem.shape_limits(p)
+        return problem.shape_limits(p, problem.deformed(p))
 
     assert min(value for _, value, _ in limits(design)) < -0.05
     found = nearest_allowed(problem, (0.3, 1.4), design)

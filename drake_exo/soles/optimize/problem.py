@@ -213,18 +213,19 @@ class ShapeProblem:
 
     def names(self) -> list[str]:
         """Names of the constraints, each to be at least 0."""
-        rigid = [name for name, *_ in self.shape_limits(self.undeformed)]
+        rigid = [
+            name for name, *_ in self.shape_limits(self.undeformed, self.mesh)
+        ]
         return rigid + list(self.limited)
 
     def shape_limits(
-        self, p: np.ndarray
+        self, p: np.ndarray, mesh: TetMesh
     ) -> list[tuple[str, float, np.ndarray]]:
-        """Limits of a design that take no simulation.
+        """Limits of a design, and its mesh, that take no simulation.
 
         Name, scaled value and its derivatives by the coefficients.
         """
-        mesh, full = self.deformed(p), self.limits["volume"]
-        by = self.by_coefficients
+        full, by = self.limits["volume"], self.by_coefficients
         left, slope = 1 - mesh.volume / full, by(mesh.volume_gradient()) / full
         others = self.surface.evaluate(mesh)
         return [
@@ -238,7 +239,7 @@ class ShapeProblem:
         e = self.evaluate(p)
         if e is None:
             return np.full(len(self.names()), np.nan)
-        values = [value for _, value, _ in self.shape_limits(p)]
+        values = [value for _, value, _ in self.shape_limits(p, e.sole.mesh)]
         values += [limit(e)[0] for limit in self.limited.values()]
         return np.array(values)
 
@@ -272,7 +273,7 @@ class ShapeProblem:
             e.sole, e.solver, e.load, self.setup.start, e.history, parts
         )
         cost, *rows = map(self.by_coefficients, by_nodes)
-        shape = [row for *_, row in self.shape_limits(p)]
+        shape = [row for *_, row in self.shape_limits(p, e.sole.mesh)]
         return cost, np.array([*shape, *rows]), by_load
 
     def regularization(self, p: np.ndarray):

@@ -483,7 +483,8 @@ def nearest_allowed(problem: ShapeProblem, bounds, p) -> np.ndarray:
     metric = problem.metric[: len(p), : len(p)]
 
     def limits(s):
-        return problem.shape_limits(np.append(s, walk))
+        p = np.append(s, walk)
+        return problem.shape_limits(p, problem.deformed(p))
 
     def away(s):
         pull = metric @ (s - p)
