@@ -12,7 +12,7 @@ from drake_exo.soles.mesh import brick, halved
 from drake_exo.soles.optimize import design as module
 from drake_exo.soles.optimize.files import Checkpoint
 from drake_exo.soles.optimize.limits import FEASIBLE
-from drake_exo.soles.optimize.optimizer import Optimum
+from drake_exo.soles.optimize.optimizer import ITERATION_LIMIT, Optimum
 from drake_exo.soles.results import Step
 
 
@@ -146,13 +146,18 @@ def test_a_limit_is_held_to_a_hundredth(design, name):
             assert check.holds is holds
 
 
-def test_an_optimum_that_is_none_is_told(design):
+@pytest.mark.parametrize(
+    ("status", "remedy"),
+    [("tired", "more starts"), (ITERATION_LIMIT, "more iterations")],
+)
+def test_an_optimum_that_is_none_is_told(design, status, remedy):
     for optimal in (True, False):
-        last = Optimum(np.ones(1), optimal=optimal, status="tired")
+        last = Optimum(np.ones(1), optimal=optimal, status=status)
         given = replace(design, optima=[Optimum(np.ones(1)), last])
         (check,) = [c for c in given.verdict().checks if c.name == "optimum"]
         assert check.holds is optimal and check.level == "note"
-        assert ("tired" in check.sentence) is not optimal
+        assert (status in check.sentence) is not optimal
+        assert (remedy in check.sentence) is not optimal
 
 
 @pytest.mark.parametrize(

@@ -355,12 +355,13 @@ def test_a_search_that_creeps_is_stopped():
         assert calls.watch(0, 1, 1.0, 0.0, 5.0, 0.2) is not ends
         assert calls.stalled is ends and calls._barrier == 0.2
         assert best.trace == [(0, 1.0, 0.0, 5.0), (1, 1.0, 0.0, 5.0)]
-    # A change by a ten-thousandth of the cost, or of the violation, is one.
+    # A change by a five-hundredth of the cost, or of the violation by a
+    # thousandth, is one.
     for cost, violation, ends in (
-        (1.00011, 0.0, False),
-        (1.00009, 0.0, True),
-        (1.0, 1.1e-4, False),
-        (1.0, 0.9e-4, True),
+        (1.0021, 0.0, False),
+        (1.0019, 0.0, True),
+        (1.0, 1.1e-3, False),
+        (1.0, 0.9e-3, True),
     ):
         problem, best = Quadratic(), Optimum(np.zeros(4))
         calls = _Callbacks(problem, None, best, None)

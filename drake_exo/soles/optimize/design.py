@@ -31,7 +31,7 @@ from drake_exo.soles.optimize.files import (
     write_case,
 )
 from drake_exo.soles.optimize.limits import FEASIBLE
-from drake_exo.soles.optimize.optimizer import Optimum
+from drake_exo.soles.optimize.optimizer import ITERATION_LIMIT, Optimum
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.results import Step, write_csv
 from drake_exo.soles.settings import Setup, finer_mesh
@@ -301,9 +301,12 @@ class Design:
 
         if self.optima:
             last = self.optima[-1]
+            remedy = "more starts may lead further"
+            if last.status == ITERATION_LIMIT:
+                remedy = "go on (resume) with more iterations"
             said = (
-                f"the search ended before it was optimal ({last.status}); go "
-                "on (resume) with more iterations"
+                f"the search ended before it was optimal ({last.status}); "
+                f"{remedy}"
             )
             note("optimum", bool(last.optimal), None, None, said)
         if finer is not None:

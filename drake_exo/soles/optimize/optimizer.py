@@ -60,9 +60,11 @@ class QuasiNewton:
 
 
 # A stage ends after so many iterations, or rejected simulations, that changed
-# cost and violation by less and did not bring the optimality error, once below
-# 1, down by a factor.
-_PATIENCE, _REJECTED, _PROGRESS, _NEARER = 150, 60, 1e-4, 0.7
+# the cost by a smaller part of it, which no finer mesh would confirm, and the
+# violation by less, and did not bring the optimality error, once below 1, down
+# by a factor.
+_PATIENCE, _REJECTED, _NEARER = 15, 60, 0.3
+_PROGRESS, _CLOSER = 2e-3, 1e-3  # of the cost, of the violation
 _OPTIONS = {
     "acceptable_iter": 0,
     # Adaptive barriers leap about where costs are not quadratic.
@@ -90,12 +92,13 @@ _WARM = {
     "warm_start_mult_bound_push": 1e-6,
 }
 
+ITERATION_LIMIT = "iteration limit"
 _STATUS = {
     0: "optimal",
     1: "acceptable",
     2: "infeasible",
     3: "steps became tiny",
-    -1: "iteration limit",
+    -1: ITERATION_LIMIT,
     -2: "restoration failed",
     5: "stopped by the user",
     -13: "invalid number",
@@ -254,11 +257,11 @@ class _Callbacks:
             self.say(iteration, self.best)
         rejected, mark = self.problem.evaluations - iteration, self._mark
         changed = abs(cost - mark[0]) >= _PROGRESS * abs(cost)
-        changed = changed or abs(inf_pr - mark[1]) > _PROGRESS
+        changed = changed or abs(inf_pr - mark[1]) > _CLOSER
         if changed or inf_du < min(1.0, _NEARER * mark[2]):
             self._mark = mark = (cost, inf_pr, inf_du, iteration, rejected)
         self.stalled = (
-            iteration - mark[3] > _PATIENCE or rejected - mark[4] > _REJECTED
+            iteration - mark[3] >= _PATIENCE or rejected - mark[4] > _REJECTED
         )
         return not (self.raised or self.stalled)
 

@@ -72,9 +72,9 @@ class ShapeProblem:
         self.weight = cost.weight
         self.roughness = block.roughness * stage.roughness
         self.branch, self.evaluations, self._cache = None, 0, {}
-        self.M, self.s0 = self.spline.basis(self.mesh.nodes)
         grids = [m for m in (self.mesh, self.finer) if m is not None]
         self._whole = [_Elements(m, self.spline) for m in grids]
+        self.M, self.s0 = self._whole[0].basis
         self._sole = setup.sole(self.mesh)
         self.law = replace(
             setup.law(self._sole), layer=stage.layer_m, kappa=stage.kappa
@@ -205,7 +205,7 @@ class ShapeProblem:
             return None
         there = copy(self)
         there.mesh, there.branch, there._cache = self.finer, None, {}
-        there.M, there.s0 = self.spline.basis(self.finer.nodes)
+        there.M, there.s0 = self._whole[1].basis
         there._sole = self.setup.sole(self.finer)
         there.law = replace(self.law, penalty=there._sole.penalty)
         cost = there.cost(p)
@@ -325,11 +325,12 @@ class _Elements:
 
     def __init__(self, mesh: TetMesh, spline: SphericalSpline):
         self._nodes, self._tets = mesh.nodes, mesh.tets
-        self._M, self._s0 = spline.basis(mesh.nodes)
+        self.basis = spline.basis(mesh.nodes)
         self._rest = mesh.quality()
 
     def _moved(self, p) -> np.ndarray:
-        return (self._M @ p + self._s0)[:, None] * self._nodes
+        M, s0 = self.basis
+        return (M @ p + s0)[:, None] * self._nodes
 
     def quality(self, p: np.ndarray) -> np.ndarray:
         """Of every element, (e,)."""
@@ -338,7 +339,7 @@ class _Elements:
     def slope(self, p: np.ndarray, share: np.ndarray) -> np.ndarray:
         """Derivatives of Σ share · quality by the coefficients, (k,)."""
         X = quality_gradient(self._moved(p), self._tets, share / self._rest)
-        return self._M.T @ (X * self._nodes).sum(axis=1)
+        return self.basis[0].T @ (X * self._nodes).sum(axis=1)
 
 
 class WalkProblem(ShapeProblem):
