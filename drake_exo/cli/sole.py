@@ -7,7 +7,6 @@ from pathlib import Path
 from drake_exo import soles
 from drake_exo.cli import add_accept, add_out, count, positive
 from drake_exo.errors import InputError
-from drake_exo.files import schema
 from drake_exo.files.output import (
     SOLVED,
     STOPPED_CODE,
@@ -27,7 +26,6 @@ from drake_exo.soles.optimize.files import (
     read_checkpoint,
     read_summary,
 )
-from drake_exo.soles.results import sole_samples, write_csv
 
 
 def add_arguments(sole: ArgumentParser) -> None:
@@ -299,7 +297,7 @@ def _strain(args) -> int:
 def _reduce(args) -> int:
     """Fit, print and write; 1 where the goals for the fit are missed."""
     # SciPy's optimiser takes a moment to load.
-    from drake_exo.contact import reduction
+    from drake_exo.contact.reduction import reduce_sole
 
     if args.out.is_dir() or args.out.suffix == ".csv":
         raise InputError(f"{args.out}: give a .yaml file for --out")
@@ -311,18 +309,9 @@ def _reduce(args) -> int:
         raise InputError(
             f"{rows}: is no earlier law's table; give another name for --out"
         )
-    samples = reduction.Samples(*sole_samples(args.source))
-    found = reduction.reduce_sole(samples, args.spheres, args.planar)
-    law = found.law()
-    try:
-        args.out.parent.mkdir(parents=True, exist_ok=True)
-        args.out.write_text(schema.dump_text(law), encoding="utf-8")
-        write_csv(rows, found.table())
-    except OSError as error:
-        raise InputError(
-            f"{args.out}: cannot be written ({error.strerror}); choose "
-            "another place for --out"
-        ) from error
+    samples = soles.sole_samples(args.source)
+    found = reduce_sole(samples, args.spheres, args.planar)
+    found.write(args.out)
     where = "the plane" if args.planar else "space"
     print(
         f"{args.spheres} spheres in {where}: force "

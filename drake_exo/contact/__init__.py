@@ -11,7 +11,7 @@ __getattr__, __dir__, __all__ = drake_exo.on_demand(
         "bushing": ["BushingParameters", "bushing_deflection", "bushing_force"],
         "hunt_crossley": ["paper_stiffness", "sphere_force"],
         "parameters": ["ContactSphere", "GroundContact"],
-        "reduction": ["SoleLaw"],
+        "reduction": ["SoleLaw", "reduce_sole"],
         "strap": ["GainController", "Gains"],
         "systems": [
             "AssistController",

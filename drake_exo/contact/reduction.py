@@ -6,6 +6,7 @@ to both, in the plane (pitch, forward) or in space. Friction is not fitted: a
 sole that sticks remembers where it stood, which a law of the velocity does not.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from drake_exo.contact.parameters import (
 )
 from drake_exo.errors import InputError
 from drake_exo.files import schema
+from drake_exo.files.output import write_csv
 from drake_exo.model.assembly import Person
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import CONTACT_RADIUS_M
@@ -253,7 +255,8 @@ class Reduction:
             columns["cop_y_spheres_m"] = self.cop[:, 1]
         return columns | {"loaded": mine.loaded.astype(int)}
 
-    def law(self) -> "SoleLaw":
+    @property
+    def law(self) -> SoleLaw:
         """What law.yaml says: spheres in the sole's frame."""
         spheres = {}
         for k, (E, (x, y, z), half) in enumerate(
@@ -273,6 +276,23 @@ class Reduction:
             self.force_error,
             self.cop_error,
         )
+
+    def write(self, path: Path | str) -> None:
+        """Write the law, and beside it `table` as .csv.
+
+        Raises:
+            InputError: one sphere alone; it cannot be written.
+        """
+        path, text = Path(path), schema.dump_text(self.law)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+            write_csv(path.with_suffix(".csv"), self.table())
+        except OSError as error:
+            raise InputError(
+                f"{path}: cannot be written ({error.strerror}); choose "
+                "another place for it"
+            ) from error
 
 
 def forces(samples: Samples, stiffness, place, constants):
@@ -301,18 +321,38 @@ def _combined(normal, centre) -> tuple[np.ndarray, np.ndarray]:
 
 
 def reduce_sole(
-    samples: Samples, spheres: int = 3, planar: bool = False
+    samples: Sequence[np.ndarray], spheres: int = 4, planar: bool = False
 ) -> Reduction:
-    """Fit spheres to a sole's samples.
+    """Fit spheres to a sole that was simulated, to wear them in a study.
+
+    >>> import drake_exo as dx
+    >>> case = dx.soles.Case.from_text(
+    ...     dx.soles.EXAMPLE.replace("samples: 5", "samples: 9")
+    ... )
+    >>> samples = dx.soles.sole_samples(case.simulate())
+    >>> found = dx.contact.reduce_sole(samples, 2, planar=True)
+    >>> found.law.spheres["sphere1"].modulus_n_m2 > 1e6
+    True
+    >>> found.is_near, found.force_error < 0.03, found.cop_error < 2e-3
+    (True, True, True)
 
     Args:
-        samples: poses, forces and centres of pressure.
+        samples: what `dx.soles.sole_samples` says.
         spheres: how many.
         planar: pitch and forward alone, as an exoskeleton's foot knows them.
+
+    Returns:
+        Spheres and errors; `law` is a `SoleLaw`, `write("law.yaml")` what
+        `foot_ground.law` of a study names.
 
     Raises:
         InputError: no spheres, or fewer samples than unknowns.
     """
+    return fit(Samples(*samples), spheres, planar)
+
+
+def fit(samples: Samples, spheres: int, planar: bool) -> Reduction:
+    """Fit spheres to samples, see `reduce_sole`."""
     if spheres < 1:
         raise InputError(f"{spheres} spheres bear nothing; take 1 or more")
     columns = [0, 1, 3] if planar else [0, 1, 2, 3]

@@ -10,6 +10,7 @@ is shown, accepted or not.
 from __future__ import annotations
 
 import contextlib
+import csv
 import dataclasses
 import fcntl
 import hashlib
@@ -288,6 +289,20 @@ def write_json(path: str | Path, obj: Any) -> None:
     except OSError:
         draft.unlink(missing_ok=True)
         raise
+
+
+def write_csv(path: Path, columns: dict[str, Sequence]) -> None:
+    """Columns of equal length under a header line."""
+
+    def shown(value):
+        is_number = not isinstance(value, str | bool | int)
+        return f"{float(value):.10g}" if is_number else value
+
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        for row in zip(*columns.values(), strict=True):
+            writer.writerow(map(shown, row))
 
 
 def checksum(obj: Any) -> str:

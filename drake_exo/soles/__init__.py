@@ -20,7 +20,7 @@ __getattr__, __dir__, __all__ = drake_exo.on_demand(
         "optimize.files": ["StoredDesign", "find_designs"],
         "optimize.search": ["pareto_front"],
         "settings": ["Settings"],
-        "results": ["Step"],
+        "results": ["Step", "sole_samples"],
         "finite_strain": ["compare_strains"],
     },
 )

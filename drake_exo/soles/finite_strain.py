@@ -27,7 +27,7 @@ from scipy.sparse import bsr_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
 from drake_exo.errors import InputError
-from drake_exo.files.output import write_text
+from drake_exo.files.output import write_csv, write_text
 from drake_exo.soles.contact.law import (
     FLAT,
     ContactLaw,
@@ -50,7 +50,6 @@ from drake_exo.soles.elasticity import Material, Sole, node_dofs
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.numerics import exp_rotation, hat, tilt_deg
-from drake_exo.soles.results import write_csv
 from drake_exo.soles.settings import Setup
 from drake_exo.soles.simulation import (
     StepHistory,

@@ -1,6 +1,5 @@
 """One simulated step: its figures by name, checks, tables, pictures, files."""
 
-import csv
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,6 +14,7 @@ from drake_exo.files.output import (
     Check,
     Verdict,
     save_figure,
+    write_csv,
     write_json,
 )
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
@@ -669,8 +669,17 @@ def strikes(setup: Setup) -> list[tuple[int, int]]:
     ]
 
 
-def sole_samples(folder: Path) -> tuple[np.ndarray, ...]:
-    """What history.npz of a folder says of the sole as a whole.
+def sole_samples(source: Step | Path | str) -> tuple[np.ndarray, ...]:
+    """What a step, or its folder, says of a sole as a whole.
+
+    >>> import drake_exo as dx
+    >>> step = dx.soles.Case.from_text(dx.soles.EXAMPLE).simulate()
+    >>> O, R, force, cop, size = dx.soles.sole_samples(step)
+    >>> O.shape, R.shape, force.shape, cop.shape, size.round(3).tolist()
+    ((5, 3), (5, 3, 3), (5,), (5, 2), [0.23, 0.13, 0.03])
+
+    Args:
+        source: A step, or the folder of `Step.write` or `Design.write`.
 
     Returns:
         Of samples that converged: place of the sole frame (N, 3) [m],
@@ -678,17 +687,23 @@ def sole_samples(folder: Path) -> tuple[np.ndarray, ...]:
         [m]; and the sole's length, width, depth below the frame (3,) [m].
 
     Raises:
-        InputError: There is no such file, or it is damaged.
+        InputError: There is no such file, or it is damaged; no sample
+            converged; the ground is not flat.
     """
     remedy = "simulate the sole again"
-    mesh, _, history, ground = read_history(folder / HISTORY, remedy)
+    if isinstance(source, Step):
+        name, ground = source.setup.name, source.setup.ground
+        mesh, history = source.sole.mesh, source.history
+    else:
+        name = Path(source) / HISTORY
+        mesh, _, history, ground = read_history(name, remedy)
     good = np.isfinite(history.K_c).all(axis=(1, 2))
     if not good.any():
-        raise InputError(f"{folder / HISTORY}: no sample converged; {remedy}")
+        raise InputError(f"{name}: no sample converged; {remedy}")
     if not ground.is_flat:
         raise InputError(
-            f"{folder / HISTORY}: the sole stood on uneven ground; simulate "
-            "it without the key ground"
+            f"{name}: the sole stood on uneven ground; simulate it without the "
+            "key ground"
         )
     up, P, nodes = history.F[good, :, 2], history.P[good], mesh.nodes
     O, R = history.O[good], history.R[good]  # noqa: E741
@@ -696,17 +711,3 @@ def sole_samples(folder: Path) -> tuple[np.ndarray, ...]:
     cop = np.einsum("qm,qmi->qi", up / force[:, None], P[:, :, :2])
     size = np.array([*np.ptp(nodes[:, :2], axis=0), -nodes[:, 2].min()])
     return O, R, force, cop, size
-
-
-def write_csv(path: Path, columns: dict[str, Sequence]) -> None:
-    """Columns of equal length under a header line."""
-
-    def shown(value):
-        is_number = not isinstance(value, str | bool | int)
-        return f"{float(value):.10g}" if is_number else value
-
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        for row in zip(*columns.values(), strict=True):
-            writer.writerow(map(shown, row))

@@ -16,6 +16,7 @@ from drake_exo.contact.reduction import (
     Samples,
     SoleLaw,
     SoleSphere,
+    fit,
     reduce_sole,
     softened,
 )
@@ -25,6 +26,7 @@ from drake_exo.model.assembly import Assembly, Person
 from drake_exo.model.description import nominal_human
 from drake_exo.model.plant import Model
 from drake_exo.soles.case import EXAMPLE, Case
+from drake_exo.soles.results import sole_samples
 
 SIZE = np.array([0.26, 0.1, 0.03])
 E = np.array([3e7, 6e7, 2e7])
@@ -75,7 +77,7 @@ def test_smoothing_of_a_centimetre_is_the_law_s_own():
 @pytest.mark.slow
 @pytest.mark.parametrize("planar", [True, False])
 def test_spheres_are_found_again(planar):
-    found = reduce_sole(_truth(planar), 3, planar)
+    found = fit(_truth(planar), 3, planar)
     assert found.force_error < 2e-3
     assert found.cop_error < 2e-4
     assert found.is_near
@@ -86,7 +88,7 @@ def test_spheres_are_found_again(planar):
 
 def test_errors_are_those_of_what_is_written():
     """One sphere cannot do it; the figures are those of its own table."""
-    found = reduce_sole(_truth(), 1)
+    found = fit(_truth(), 1, False)
     rows = found.table()
     off = rows["force_spheres_n"] - rows["force_n"]
     wanted = np.sqrt((off**2).mean()) / rows["force_n"].max()
@@ -101,7 +103,7 @@ def test_errors_are_those_of_what_is_written():
     off = found.place[:, 2] - (RADIUS - SIZE[2])
     assert np.abs(off).max() <= 0.02 + 1e-9
     with pytest.raises(InputError, match="--spheres 2"):
-        found.law()
+        _ = found.law
 
 
 def test_too_few_samples_are_refused():
@@ -111,20 +113,21 @@ def test_too_few_samples_are_refused():
         SIZE,
     )  # fmt: skip
     with pytest.raises(InputError, match="fewer spheres"):
-        reduce_sole(few, 3)
+        fit(few, 3, False)
     with pytest.raises(InputError, match="take 1 or more"):
-        reduce_sole(few, 0)
+        fit(few, 0, False)
     # A centre of pressure tells nothing where hardly anything bears.
     force = np.where(np.arange(len(whole.force)) < 2, whole.force, 1e-9)
     with pytest.raises(InputError, match="fewer spheres"):
-        reduce_sole(replace(whole, force=force), 11)
+        fit(replace(whole, force=force), 11, False)
 
 
 @pytest.mark.slow
 def test_the_command_writes_law_and_samples(tmp_path, capsys):
-    Case.from_text(
+    step = Case.from_text(
         EXAMPLE.replace("samples: 5", "samples: 9")
-    ).simulate().write(tmp_path)
+    ).simulate()
+    step.write(tmp_path)
     out = tmp_path / "law.yaml"
     argv = ["sole", "reduce", str(tmp_path), "--spheres", "2", "--planar",
             "--out", str(out)]  # fmt: skip
@@ -133,6 +136,15 @@ def test_the_command_writes_law_and_samples(tmp_path, capsys):
     assert law["planar"] and list(law["spheres"]) == ["sphere1", "sphere2"]
     assert f"{100 * law['force_error_rms']:.1f} %" in capsys.readouterr().out
     assert out.with_suffix(".csv").is_file()
+    # From Python, of the step or its folder: the same files.
+    for sole in (step, tmp_path):
+        found = reduce_sole(sole_samples(sole), 2, planar=True)
+        found.write(tmp_path / "again.yaml")
+        for end in (".yaml", ".csv"):
+            again = tmp_path / f"again{end}"
+            assert again.read_bytes() == out.with_suffix(end).read_bytes()
+    with pytest.raises(InputError, match="cannot be written"):
+        found.write(out / "law.yaml")
     assert cli.main(argv) == 2
     assert (
         cli.main(["sole", "reduce", "nowhere", "--out", str(out), "--force"])
@@ -153,7 +165,7 @@ def _law(**changes):
 
 @pytest.mark.slow
 def test_what_is_written_is_read(tmp_path):
-    law = reduce_sole(_truth(), 3).law()
+    law = fit(_truth(), 3, False).law
     path = tmp_path / "law.yaml"
     path.write_text(schema.dump_text(law))
     assert SoleLaw.read(path) == law
@@ -281,7 +293,7 @@ def test_intervals_are_in_the_units_of_what_they_are_of(planar, monkeypatch):
     columns = [0, 1, 3] if planar else [0, 1, 2, 3]
     sd = 0.01 * np.arange(1 + 2 * len(columns))
     monkeypatch.setattr(reduction, "_deviations", lambda best: sd)
-    found = reduction.reduce_sole(_truth(planar=planar), 2, planar)
+    found = fit(_truth(planar=planar), 2, planar)
     scale = np.array([1.0, 0.1 * SIZE[0], 0.1 * SIZE[1], 1e-3])[columns]
     expected = 1.96 * sd[1:].reshape(2, -1) * scale
     np.testing.assert_allclose(found.interval[:, columns], expected)

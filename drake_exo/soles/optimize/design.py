@@ -10,7 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.files.output import Check, Verdict, save_figure, write_json
+from drake_exo.files.output import (
+    Check,
+    Verdict,
+    save_figure,
+    write_csv,
+    write_json,
+)
 from drake_exo.soles.finite_strain import compare_strains, write_table
 from drake_exo.soles.mesh import (
     WALL,
@@ -33,7 +39,7 @@ from drake_exo.soles.optimize.files import (
 from drake_exo.soles.optimize.limits import FEASIBLE
 from drake_exo.soles.optimize.optimizer import ITERATION_LIMIT, Optimum
 from drake_exo.soles.optimize.problem import ShapeProblem
-from drake_exo.soles.results import Step, write_csv
+from drake_exo.soles.results import Step
 from drake_exo.soles.settings import Setup, finer_mesh
 from drake_exo.soles.simulation import FIRST_HISTORY, HISTORY, write_history
 
