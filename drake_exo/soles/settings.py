@@ -200,7 +200,8 @@ _FAR = 2.0  # metres: on no sole
 _FINE = (18, 12, 4)
 # Strains and poses depend on the mesh: the fine one from the start. Smooth
 # shapes first; then twice, since each stage begins with what the largest strain
-# truly is; what the last one wins, it has to win at as many samples.
+# truly is, and since the second tells which start is the best; the last by more
+# samples: an optimum fits itself to few.
 STAGES = (
     Stage(_FINE, 24, 3e-4, 0.2, 24, roughness=10.0),
     Stage(_FINE, 24, 1e-4, 0.2, 28),
