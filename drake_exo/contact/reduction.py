@@ -6,7 +6,7 @@ to both, in the plane (pitch, forward) or in space. Friction is not fitted: a
 sole that sticks remembers where it stood, which a law of the velocity does not.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -321,7 +321,7 @@ def _combined(normal, centre) -> tuple[np.ndarray, np.ndarray]:
 
 
 def reduce_sole(
-    samples: Sequence[np.ndarray], spheres: int = 4, planar: bool = False
+    samples: Iterable[np.ndarray], spheres: int = 4, planar: bool = False
 ) -> Reduction:
     """Fit spheres to a sole that was simulated, to wear them in a study.
 
@@ -348,11 +348,7 @@ def reduce_sole(
     Raises:
         InputError: no spheres, or fewer samples than unknowns.
     """
-    return fit(Samples(*samples), spheres, planar)
-
-
-def fit(samples: Samples, spheres: int, planar: bool) -> Reduction:
-    """Fit spheres to samples, see `reduce_sole`."""
+    samples = Samples(*samples)
     if spheres < 1:
         raise InputError(f"{spheres} spheres bear nothing; take 1 or more")
     columns = [0, 1, 3] if planar else [0, 1, 2, 3]

@@ -16,7 +16,6 @@ from drake_exo.contact.reduction import (
     Samples,
     SoleLaw,
     SoleSphere,
-    fit,
     reduce_sole,
     softened,
 )
@@ -67,6 +66,10 @@ def _truth(planar=False):
             force[q] += normal
             cop[q] += normal * np.array([x, y])
     return Samples(origin, R, force, cop / force[:, None], SIZE)
+
+
+def fit(samples, spheres, planar):
+    return reduce_sole(vars(samples).values(), spheres, planar)
 
 
 def test_smoothing_of_a_centimetre_is_the_law_s_own():

@@ -15,7 +15,6 @@ from drake_exo.soles.case import Case
 from drake_exo.soles.load_blocks import LoadBlock, Pattern
 from drake_exo.soles.optimize import search
 from drake_exo.soles.optimize.files import find_designs, read_summary
-from drake_exo.soles.optimize.limits import FEASIBLE
 from drake_exo.soles.settings import Stage
 
 
@@ -46,7 +45,8 @@ def test_a_study_runs_its_cases_side_by_side(tmp_path, capsys):
             c for c in verdict.checks if (c.name, c.where) == ("optimum", name)
         )
         assert not note.holds and note.level == "note"
-        assert "(iteration limit); go on (resume)" in note.sentence
+        why = "before it was optimal (iteration limit); go on (resume)"
+        assert why in note.sentence
     # One of three has failed, another is made to: what shows all says so.
     off = Check("plausibility.strain", False, 0.8, 0.6)
     path = out / "1-Ref" / "summary.json"
@@ -103,10 +103,11 @@ def test_a_point_of_the_front_holds_its_floor(tmp_path):
         strain=None,
     )  # fmt: skip
     case = Case.read(tmp_path / "case.yaml")
-    tiny = [Stage((4, 3, 2), 10, layer, 0.2, 80) for layer in (3e-4, 5e-5)]
-    # Far above its own optimum so few elements make the search erratic.
+    # Far above its own optimum so few elements make the search erratic: stick
+    # and slip are smooth, and it may go on until it has converged.
+    tiny = [Stage((4, 3, 2), 10, layer, 0.5, 200) for layer in (3e-4, 5e-5)]
     (point,) = search.pareto_front(case, (0.4,), stages=tiny)
-    assert point["violation"] <= FEASIBLE  # as all that a search returns
+    assert point["violation"] < 1e-3
     # By the exact law, to the per cent that a limit is checked to.
     assert point["ratio_rot"] > 0.99 * 0.4
     assert point["ratio_tr"] < 0.6
