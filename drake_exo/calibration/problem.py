@@ -1007,7 +1007,7 @@ def torque_terms(
     sigma = np.tile(sigma, (len(at.times), 1))
     # Whatever a device calls its joints.
     beside = [
-        names.follows(name) if name in names.device else name
+        (names.follows(name) if name in names.device else name) or ""
         for name in names.joints
     ]
     for side, wrench in at.feet.items():

@@ -121,11 +121,12 @@ def run(args: argparse.Namespace) -> int:
         args.calibration, args.accept, study.trials("prediction")
     )
     checks += study.gate("prediction", args.accept)
-    clocks = None
+    clocks, usual = None, uncalibrated(study.model, contact)
     if worn is not None:
         # Of the cuffs that were worn.
         clocks = find_clocks(study, study.trials("prediction"), contact)
         study, contact = on_design(study, contact, worn)
+        usual = worn.contact(usual)
     folder = prepare_output_folder(args.out, args.force, args.resume, reads)
     with folder as out:
         code = write_predictions(
@@ -139,6 +140,7 @@ def run(args: argparse.Namespace) -> int:
             checks=checks,
             accepted=args.accept,
             clocks=clocks,
+            usual=usual,
         )
         folder.end(code)
     print(f"results in {folder.path}")
@@ -157,8 +159,12 @@ def write_predictions(
     checks: Sequence[Check] = (),
     accepted: Sequence[str] = (),
     clocks: Sequence[Clock] | None = None,
+    usual: ContactModel | None = None,
 ) -> int:
-    """Every trial for prediction into a folder; returns the exit code."""
+    """Every trial for prediction into a folder; returns the exit code.
+
+    `usual` is what to compare with, by default nominal cuffs.
+    """
     trials = study.trials("prediction")
     of = inputs(
         study,
@@ -172,7 +178,7 @@ def write_predictions(
     if done is not None:
         print(f"{out} is complete; nothing to resume")
         return done.exit_code
-    usual = uncalibrated(study.model, contact)
+    usual = usual or uncalibrated(study.model, contact)
     how = {"scale_interaction": scale_interaction, "controller": controller}
     found: list[Prediction] = []
     baseline: list[Prediction | None] = []

@@ -307,9 +307,10 @@ class _FootGroundContact:
         """Writes parameters into a context: same law, same spheres.
 
         Raises:
-            InputError: law or names of the spheres differ.
+            InputError: law or names of the spheres differ, or a value is out
+                of its bounds.
         """
-        own = self._parameters
+        own, parameters = self._parameters, parameters.checked()
         if parameters.law != own.law or list(parameters.spheres) != list(
             own.spheres
         ):
@@ -317,8 +318,7 @@ class _FootGroundContact:
                 f"this contact has the law '{own.law}' and the spheres "
                 f"{', '.join(own.spheres)}; build another one"
             )
-        constants = parameters.constants or own.constants
-        vectors = (*parameters.spheres.values(), constants)
+        vectors = (*parameters.spheres.values(), parameters.constants)
         for i, values in enumerate(vectors):
             context.get_mutable_numeric_parameter(i).SetFromVector(
                 np.array(astuple(values))
@@ -669,7 +669,7 @@ class TrackingController(LeafSystem):
     Input state (q, v); output joint_torques, one for each hinge [N m].
 
     Args:
-        times: (n,) [s].
+        times: (n,) [s]; before and after them the ends are held.
         q, v, a: (n, nq) reference; between its times v goes as v and a say,
             so that feedback does not ask for a speed that nobody meant.
         torque: (n, n_joints) feed-forward [N m]; hinges are the last
@@ -690,6 +690,7 @@ class TrackingController(LeafSystem):
         nq, n_joints = q.shape[1], torque.shape[1]
         hinges = slice(nq - n_joints, nq)
         q, v, a = (x[:, hinges] for x in (q, v, a))
+        self._ends = times[0], times[-1]
         self._torque = CubicSpline(times, torque)
         # Of q and v together: the torque that feedback gives to its reference.
         self._held = CubicHermiteSpline(
@@ -704,7 +705,7 @@ class TrackingController(LeafSystem):
 
     def _calc(self, context, output):
         state = self.GetInputPort("state").Eval(context)
-        time = context.get_time()
+        time = np.clip(context.get_time(), *self._ends)
         held = self._held(time) - self._feedback @ state
         output.SetFromVector(self._torque(time) + held)
 

@@ -896,8 +896,8 @@ def device_checks(e: Evidence) -> Iterator[Check]:
             "encoder_offset",
             abs(offset),
             f"{name} reads {offset:+.0f} deg off the person's "
-            f"{names.follows(name)} in the most upright posture; the "
-            "encoder's zero is wrong, or it is another joint's",
+            f"{names.follows(name) or 'stance'} in the most upright posture; "
+            "the encoder's zero is wrong, or it is another joint's",
         )
         yield _frozen(e, i)
     spans = np.ptp(human, axis=0)

@@ -120,11 +120,11 @@ class Device:
         """
         if not names.device:
             return
-        beside = {names.follows(n).split("_")[0] for n in names.device}
+        beside = {(names.follows(n) or "").split("_")[0] for n in names.device}
         usual = [k for k in LEG_JOINTS if getattr(self, k) != JointDrive()]
         for key, own, known in (
             ("device.joints", self.joints, names.device),
-            ("device", usual, sorted(beside)),
+            ("device", usual, sorted(beside - {""})),
         ):
             for name in own:
                 if name not in known:
@@ -133,9 +133,9 @@ class Device:
                         f"{', '.join(known)}{nearest(name, known)}"
                     )
 
-    def of(self, joint: str, beside: str) -> JointDrive:
-        """Dynamics of a joint that sits beside one of the person's."""
-        usual = getattr(self, beside.split("_")[0], JointDrive())
+    def of(self, joint: str, beside: str | None) -> JointDrive:
+        """Dynamics of a joint that sits beside one of the person's, if any."""
+        usual = getattr(self, (beside or "").split("_")[0], JointDrive())
         return self.joints.get(joint, usual)
 
 

@@ -146,14 +146,16 @@ class Coordinates:
             row[self.human.index(beside[0])] = 1.0
         return rows
 
-    def follows(self, name: str) -> str:
+    def follows(self, name: str) -> str | None:
         """The human's hinge beside which a device's hinge `name` sits.
+
+        None where it stands still while the human moves, as a pad's pivot.
 
         Raises:
             InputError: there is none.
         """
         row = np.abs(self.turned_by[self.device.index(name)])
-        return self.human[int(np.argmax(row))]
+        return self.human[int(np.argmax(row))] if row.any() else None
 
     def joined(self, human: np.ndarray, device: np.ndarray) -> np.ndarray:
         """Columns of human and device side by side, in the order of names.

@@ -1,8 +1,8 @@
 """A device of the user's own: its file, and whether it fits into the plane.
 
 What the file says is brought into the person's frames once, when a study is
-read: x forward, joints that are to be held made fixed, and links that are
-named as segments of the person renamed.
+read: x forward, joints that are to be held made fixed, frames of links turned
+into the plane, and links that are named as segments of the person renamed.
 """
 
 import xml.etree.ElementTree as ET
@@ -10,16 +10,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.multibody.tree import JointIndex, ModelInstanceIndex
 
 from drake_exo.errors import InputError, reason
 from drake_exo.files.tables import read_text
 from drake_exo.model.assembly import Assembly, DeviceFile, Weld
 
 _KINDS = (".sdf", ".urdf")
-_STRAIGHT = 1e-6  # largest part of an axis that leaves y
+_STRAIGHT = 1e-5  # largest part of an axis that leaves y: 3.1416 for pi
 
 
 def with_text(assembly: Assembly, root: Path) -> Assembly:
@@ -59,8 +61,8 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
     """The assembly with its device's text in the person's frames.
 
     Raises:
-        InputError: it is no XML, a joint to fix is missing, or an inertia is
-            that of no body.
+        InputError: it is no XML, Drake cannot read it, a joint to fix is
+            missing, one is to follow another, or an inertia is that of no body.
     """
     device, notes = assembly.device, []
     root, owner = _owner(device, text)
@@ -73,6 +75,14 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
     for link in owner.findall("link"):
         notes += _possible_inertia(device, link)
     joints = {joint.get("name"): joint for joint in owner.findall("joint")}
+    for name, joint in joints.items():
+        follows = next(joint.iter("mimic"), None) is not None
+        if follows and name not in device.fixed:
+            raise InputError(
+                f"{device.name}: joint {name!r} follows another one (mimic), "
+                "here every joint turns by itself; take it out, or make the "
+                "joint fixed"
+            )
     for name in device.fixed:
         if name not in joints:
             raise InputError(
@@ -85,6 +95,8 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
                 joints[name].remove(element)
     if device.forward == "-x":
         _turn(device, root)
+    _without_meshes(owner)
+    _into_plane(device, root, owner)
     links = {link.get("name") for link in owner.findall("link")}
     twice = links & set(assembly.human.segments)
     for name in twice:
@@ -213,15 +225,160 @@ def _negated(number: str) -> str:
     return number[1:] if number.startswith("-") else f"-{number}"
 
 
+def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
+    """Give each link a frame whose y is across the plane, in place.
+
+    Those of CAD lie in any way: one whose y is not that of the welded link
+    takes that one's axes, at the same origin. Places in an SDF are then told
+    from the model and from links alone: joints and links' names may change.
+    """
+    is_sdf = owner.tag == "model"
+    plant = MultibodyPlant(0.0)
+    text = ET.tostring(root, encoding="unicode")
+    instance = _parsed(Parser(plant), device, text)
+    plant.Finalize()
+    context = plant.CreateDefaultContext()
+    hung = [plant.get_joint(i) for i in plant.GetJointIndices(instance)]
+    q = plant.GetPositions(context)
+    q[[j.position_start() for j in hung if j.num_positions() == 1]] = 0.0
+    plant.SetPositions(context, q)
+    bodies = [plant.get_body(i) for i in plant.GetBodyIndices(instance)]
+    # L is a link's frame in the file, P in the plane, M the model's.
+    X_ML = {b.name(): b.EvalPoseInWorld(context) for b in bodies}
+    R_MW = next((X_ML[w].rotation() for w in device.weld if w in X_ML), None)
+    if R_MW is None:  # told when it is welded
+        return
+    X_LP = {}
+    for name, X in X_ML.items():
+        R_LW = X.rotation().inverse() @ R_MW
+        off = np.abs(R_LW.matrix()[:, 1] - [0.0, 1.0, 0.0]).max()
+        is_kept = name in device.weld or off <= _STRAIGHT
+        X_LP[name] = RigidTransform() if is_kept else RigidTransform(R_LW)
+    turned = {n for n, X in X_LP.items() if not X.IsExactlyIdentity()}
+    told = {key for element in root.iter() for key in element.attrib}
+    if not turned and not told & _TOLD_FROM:
+        return
+    X_MP = {name: X_ML[name] @ X_LP[name] for name in X_ML}
+    for link in owner.findall("link"):
+        name = link.get("name")
+        if not is_sdf and name not in turned:
+            continue
+        for shape in link.findall("visual"):
+            if shape.find("pose[@relative_to]") is None:
+                _put(shape, is_sdf, X_LP[name].inverse() @ _place(shape))
+            else:  # it is drawn, and no more
+                link.remove(shape)
+        if is_sdf:
+            _put(link, is_sdf, X_MP[name])
+        if link.find("inertial") is not None:
+            body = plant.GetBodyByName(name, instance)
+            _write_inertia(link, is_sdf, body, context, X_LP[name])
+    elements = {e.get("name"): e for e in owner.findall("joint")}
+    for joint in hung:
+        a, b = joint.parent_body().name(), joint.child_body().name()
+        if a not in X_MP:  # the world: floating, or refused later
+            continue
+        if not is_sdf and not {a, b} & turned:
+            continue
+        element, kind = elements[joint.name()], joint.type_name()
+        if is_sdf:
+            # Its axis counts in its own frame, which stays.
+            X_LJ = joint.frame_on_child().GetFixedPoseInBodyFrame()
+            _put(element, is_sdf, X_LP[b].inverse() @ X_LJ)
+            if kind in _AXIS:
+                xyz = element.find("axis/xyz")
+                xyz.attrib.clear()
+                xyz.text = _numbers(getattr(joint, _AXIS[kind])())
+        else:
+            _put(element, is_sdf, X_MP[a].inverse() @ X_MP[b])
+            if kind in _AXIS:
+                R_PL = X_LP[b].rotation().inverse()
+                along = R_PL @ getattr(joint, _AXIS[kind])()
+                element.find("axis").set("xyz", _numbers(along))
+    for frame in owner.findall("frame"):
+        owner.remove(frame)
+    for key in ("canonical_link", "placement_frame"):
+        owner.attrib.pop(key, None)
+
+
+# What gives a joint's axis, in its own frame.
+_AXIS = {"revolute": "revolute_axis", "prismatic": "translation_axis"}
+# What tells a place from another frame, in SDF.
+_TOLD_FROM = {
+    "relative_to",
+    "attached_to",
+    "expressed_in",
+    "placement_frame",
+    "canonical_link",
+}
+
+
+def _numbers(values) -> str:
+    return " ".join(repr(float(x) + 0.0) for x in values)
+
+
+def _place(owner: ET.Element) -> RigidTransform:
+    """Where an element says that it is, in the frame that it belongs to."""
+    origin, pose = owner.find("origin"), owner.find("pose")
+    if origin is not None:
+        p, r = (origin.get(k, "0 0 0").split() for k in ("xyz", "rpy"))
+    elif pose is not None and (pose.text or "").strip():
+        p, r = np.split(np.array(pose.text.split(), float), [3])
+        if pose.get("rotation_format") == "quat_xyzw":
+            return RigidTransform(Quaternion(r[[3, 0, 1, 2]]), p)
+        if pose.get("degrees") in ("true", "1"):
+            r = np.deg2rad(r)
+    else:
+        return RigidTransform()
+    p, r = np.array(p, float), np.array(r, float)
+    return RigidTransform(RollPitchYaw(r), p)
+
+
+def _put(owner: ET.Element, is_sdf: bool, X: RigidTransform) -> None:
+    """Write where an element is."""
+    for element in owner.findall("pose" if is_sdf else "origin"):
+        owner.remove(element)
+    rpy = X.rotation().ToRollPitchYaw().vector()
+    if is_sdf:
+        pose = ET.SubElement(owner, "pose")
+        pose.text = _numbers([*X.translation(), *rpy])
+    else:
+        place = {"xyz": _numbers(X.translation()), "rpy": _numbers(rpy)}
+        ET.SubElement(owner, "origin", place)
+
+
+def _write_inertia(link, is_sdf: bool, body, context, X_LP) -> None:
+    """Write a link's mass and inertia, in the axes of its turned frame."""
+    M_L = body.CalcSpatialInertiaInBodyFrame(context)
+    p, R = M_L.get_com(), X_LP.rotation().inverse().matrix()
+    central = M_L.Shift(p).CalcRotationalInertia().CopyToFullMatrix3()
+    turned, mass = R @ central @ R.T, repr(M_L.get_mass())
+    link.remove(link.find("inertial"))
+    inertial = ET.SubElement(link, "inertial")
+    _put(inertial, is_sdf, RigidTransform(R @ p))
+    values = {
+        key: repr(float(turned["xyz".index(key[1]), "xyz".index(key[2])]))
+        for key in (*_MOMENTS, *_PRODUCTS)
+    }
+    if is_sdf:
+        ET.SubElement(inertial, "mass").text = mass
+        inertia = ET.SubElement(inertial, "inertia")
+        for key, value in values.items():
+            ET.SubElement(inertia, key).text = value
+    else:
+        ET.SubElement(inertial, "mass", value=mass)
+        ET.SubElement(inertial, "inertia", values)
+
+
 def _rename(root: ET.Element, old: str, new: str) -> None:
     """Another name for a link, wherever the file speaks of it."""
     for element in root.iter():
         if element.tag == "link" and element.get("name") == old:
             element.set("name", new)
-        for key in ("link", "attached_to", "relative_to"):
-            if element.get(key) == old:
-                element.set(key, new)
-        if element.tag in ("parent", "child") and element.text == old:
+        if element.get("link") == old:
+            element.set("link", new)
+        ends = element.tag in ("parent", "child")
+        if ends and (element.text or "").strip() == old:
             element.text = new
 
 
@@ -243,9 +400,6 @@ def _owner(device: DeviceFile, text: str) -> tuple[ET.Element, ET.Element]:
 def without_stiff_joints(device: DeviceFile, text: str) -> str:
     """The file without joints between welded links, and without meshes.
 
-    Meshes of the user's are left out: they lie elsewhere, and results must be
-    readable on any machine.
-
     Raises:
         InputError: it is no XML, or holds not exactly one model.
     """
@@ -259,11 +413,29 @@ def without_stiff_joints(device: DeviceFile, text: str) -> str:
         if names <= set(device.weld):
             owner.remove(joint)
     if device.file is not None:
-        for link in owner.findall("link"):
-            for shape in link.findall("visual") + link.findall("collision"):
-                if shape.find("geometry/mesh") is not None:
-                    link.remove(shape)
+        _without_meshes(owner)
     return ET.tostring(root, encoding="unicode")
+
+
+def _without_meshes(owner: ET.Element) -> None:
+    """Take out the user's meshes, and what would collide.
+
+    Meshes lie elsewhere, and results must be readable on any machine; links
+    of a device overlap, and Drake would push them apart.
+    """
+    for link in owner.findall("link"):
+        for shape in link.findall("visual") + link.findall("collision"):
+            mesh = shape.find("geometry/mesh") is not None
+            if mesh or shape.tag == "collision":
+                link.remove(shape)
+
+
+def _parsed(parser, device: DeviceFile, text: str) -> ModelInstanceIndex:
+    try:
+        (instance,) = parser.AddModelsFromString(text, device.kind)
+    except (RuntimeError, ValueError) as error:
+        raise InputError(f"{device.name}: {reason(error)}") from error
+    return instance
 
 
 def add_device(
@@ -276,10 +448,7 @@ def add_device(
             attached to nothing, or joints close a loop.
     """
     text = without_stiff_joints(device, text)
-    try:
-        (instance,) = parser.AddModelsFromString(text, device.kind)
-    except (RuntimeError, ValueError) as error:
-        raise InputError(f"{device.name}: {reason(error)}") from error
+    instance = _parsed(parser, device, text)
     links = link_names(plant, instance)
     for link in device.weld:
         if link not in links:
@@ -356,9 +525,11 @@ def check_planar(plant: MultibodyPlant, device: DeviceFile) -> None:
     """
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, np.zeros(plant.num_positions()))
+    inertia = np.diag(plant.CalcMassMatrix(context))
+    person = plant.get_joint(JointIndex(0)).model_instance()
     for index in plant.GetJointIndices():
         joint = plant.get_joint(index)
-        if not joint.num_positions() or joint.type_name() == "planar":
+        if not joint.num_positions() or joint.model_instance() == person:
             continue
         where = f"{device.name}: joint {joint.name()!r}"
         if joint.type_name() != "revolute":
@@ -374,10 +545,15 @@ def check_planar(plant: MultibodyPlant, device: DeviceFile) -> None:
                 f"{axis[2]:.3g}), out of the sagittal plane, whose normal is "
                 "y; make it fixed"
             )
-        child = joint.child_body()
-        moved = plant.GetBodiesWeldedTo(child)
-        if not sum(body.get_mass(context) for body in moved) > 0.0:
+        for end in (joint.child_body(), joint.parent_body()):
+            moved = plant.GetBodiesWeldedTo(end)
+            if not sum(body.get_mass(context) for body in moved) > 0.0:
+                raise InputError(
+                    f"{device.name}: link {end.name()!r} moves and weighs "
+                    "nothing; give it a mass and an inertia"
+                )
+        if not inertia[joint.velocity_start()] > 0.0:
             raise InputError(
-                f"{device.name}: link {child.name()!r} moves and weighs "
-                "nothing; give it a mass and an inertia"
+                f"{where}: what it turns has no inertia about it; give the "
+                "link an inertia, or a centre of mass off the axis"
             )

@@ -194,7 +194,7 @@ class Model:
                     f"{device.name}: joint {joint!r} has a dot in its name; "
                     "rename it in the file"
                 )
-        names = replace(names, coupling=_coupling(self, tree))
+        names = replace(names, coupling=_coupling(tree, _riding(self, tree)))
         return replace(tree, coordinates=names)
 
     @cached_property
@@ -279,18 +279,28 @@ class Model:
             )
         return self.human.cuff_m(segment)
 
-    def preload(self, cuff: str) -> tuple[float, float]:
-        """How far (x, z) the device's cuff is from the human's [m].
+    def preload(self, cuff: str) -> tuple[float, float, float]:
+        """From where on its link (x, z [m], angle [rad]) the cuff is slack.
 
-        A device of the user's own is worn without, and a cuff whose place the
-        description says.
+        Upright it is, wherever the link lies, but where the device's cuff is
+        not the human's. A device of the user's own, and a cuff whose place the
+        description says, are worn slack.
         """
         links = self.assembly.cuffs[cuff]
-        if self.exoskeleton is None or links.at_m is not None:
-            return (0.0, 0.0)
-        x, z = self._cuff_m(cuff)
-        device_x, device_z = self.exoskeleton.cuff_m(links.human)
-        return device_x - x, device_z - z
+        if self.exoskeleton is None:
+            return (0.0, 0.0, 0.0)
+        place = np.array(self._cuff_m(cuff))
+        held = place
+        if links.at_m is None:
+            held = np.array(self.exoskeleton.cuff_m(links.human))
+        segment, link = (
+            self.upright_poses[body] for body in (links.human, links.device)
+        )
+        a, b = segment[2], link[2]
+        p = segment[:2] + _turn_of(a) @ held - link[:2]
+        moved = _turn_of(-b) @ p - place
+        # Beyond that it is rounding.
+        return tuple(np.round([*moved, a - b], 12).tolist())
 
     def plant(self, plant: MultibodyPlant | None = None) -> MultibodyPlant:
         """The model as a plant.
@@ -397,9 +407,14 @@ def _weld(plant, body, worn, device: DeviceFile) -> None:
 def _check_links(plant, worn, assembly: Assembly) -> None:
     """Refuse a cuff at a link that the device does not have."""
     known = link_names(plant, worn)
-    for cuff in assembly.cuffs.values():
+    for name, cuff in assembly.cuffs.items():
         if cuff.device not in known:
             raise missing_link(assembly.device, cuff.device, known)
+        if name + _SHELL in known:
+            raise InputError(
+                f"{assembly.device.name}: link {name + _SHELL!r} is called as "
+                f"what cuff {name!r} holds; rename the cuff"
+            )
 
 
 def _cuff_links(assembly: Assembly) -> dict[str, tuple[str, str]]:
@@ -448,20 +463,25 @@ def _poses(model: Model) -> dict[str, np.ndarray]:
     }
 
 
+def _turn_of(angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
 def _seen_from(model: Model, base: str, body: str) -> Weld:
     """Place of one body on another while all stand upright."""
     poses = _poses(model)
-    x, z, angle = poses[body] - poses[base]
-    c, s = np.cos(poses[base][2]), np.sin(poses[base][2])
-    at = float(c * x + s * z), float(c * z - s * x)
-    return Weld(base, at, float(np.rad2deg(angle)))
+    *p, angle = poses[body] - poses[base]
+    x, z = (_turn_of(-poses[base][2]) @ p).tolist()
+    return Weld(base, (x, z), float(np.rad2deg(angle)))
 
 
 def _riding(model: Model, tree: PlanarTree) -> dict[str, str]:
     """Link of the device -> segment of the person that it moves with.
 
-    That which it is welded or strapped to; a link that is neither goes with
-    the next one towards the welded one.
+    That which it is welded or strapped to. A link that is neither goes with
+    the one that leaves the cuffs slackest while the person bends; where that
+    does not tell, with the next one towards the welded one.
     """
     assembly = model.assembly
     plant = model.plant()
@@ -479,18 +499,44 @@ def _riding(model: Model, tree: PlanarTree) -> dict[str, str]:
     segments = assembly.human.segments
     # Outward as far as it goes before a joint inward, in whatever order the
     # file has them.
+    held: set[str] = set()
     for edges in (stiff, ends):
+        held = set(rides)
         inward = [(b, a) for a, b in edges]
         for a, b in ([*edges * len(edges), *inward]) * len(edges):
             if a in rides and b not in (*rides, *segments):
                 rides[b] = rides[a]
+    free = {}
+    for link in (name for name in rides if name not in held):
+        free.setdefault(tuple(tree.turning(link)), []).append(link)
+    for group in list(free.values()) * len(free):
+        choices = [
+            rides | dict.fromkeys(group, s)
+            for s in (rides[group[0]], *segments)
+        ]
+        rides = min(choices, key=lambda r: _strain(assembly, tree, r))
     shells = [name + _SHELL for name in assembly.cuffs]
     return {link: s for link, s in rides.items() if link not in shells}
 
 
-def _coupling(model: Model, tree: PlanarTree) -> tuple[tuple[float, ...], ...]:
+def _strain(assembly: Assembly, tree: PlanarTree, rides) -> float:
+    """How far cuffs are off while each joint of the person bends alone [m]."""
+    names = replace(tree.coordinates, coupling=_coupling(tree, rides))
+    bent = np.hstack(
+        [np.zeros((len(names.human), 3)), np.eye(len(names.human))]
+    )
+    q, origin = names.aligned(bent), (0.0, 0.0)
+    off = [
+        tree.point_positions(q, name + _SHELL, origin)
+        - tree.point_positions(q, cuff.human, origin)
+        for name, cuff in assembly.cuffs.items()
+    ]
+    return round(float(np.linalg.norm(off)), 9)  # beyond that it is rounding
+
+
+def _coupling(tree: PlanarTree, rides) -> tuple[tuple[float, ...], ...]:
     """Turn of the device's hinges by the human's, while it moves with them."""
-    rides, names = _riding(model, tree), tree.coordinates
+    names = tree.coordinates
     columns = names.columns(names.human)
     rows = []
     for name in names.device:

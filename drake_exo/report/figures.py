@@ -448,7 +448,8 @@ def _by_joint(ax, trial: Trial, t, signal: Callable) -> None:
     names = trial.coordinates
     looks = _looks(names.human)
     for joint in names.joints:
-        look = looks[joint if joint in looks else names.follows(joint)]
+        beside = joint if joint in looks else names.follows(joint)
+        look = looks.get(beside, {"color": "gray", "ls": ":"})
         if joint in names.device:
             look = look | {"ls": ":" if look["ls"] == "-." else "--"}
         ax.plot(t, signal(joint), label=joint, **look)

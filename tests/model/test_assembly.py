@@ -16,6 +16,7 @@ from drake_exo.calibration.settings import (
     Range,
     SphereSettings,
 )
+from drake_exo.contact.diagram import build_diagram
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.model import plant as plant_module
@@ -405,7 +406,7 @@ def test_part_of_the_shipped_device():
     cuffs = {"thigh": replace(cuffs["thigh"], at_m=(0.0, 0.3))}
     model = replace(whole, kind=replace(whole.assembly, cuffs=cuffs))
     assert model.cuffs == {"thigh": (0.0, 0.3)}
-    assert model.preload("thigh") == (0.0, 0.0)
+    assert model.preload("thigh") == (0.0, 0.0, 0.0)
 
 
 LEG = ("hip", "knee", "ankle")
@@ -698,3 +699,187 @@ def test_feet_may_have_parameters_of_their_own():
     }
     contact = settings.contact(own.spheres).ground.under(own)
     assert list(contact["foot_left"].spheres) == ["heel_left", "toe_left"]
+
+
+CALF = (
+    '<link name="calf"',
+    '<child link="calf"/>',
+    '<axis xyz="0 1 0"/>',
+    'xyz="0.02 0 0.16"',
+)
+
+
+@pytest.mark.parametrize(
+    ("rpy", "axis", "com"),
+    [
+        ("1.5707963267949 0 0", "0 0 -1", "0.02 0.16 0"),  # as CAD exports
+        ("1.5708 0 0", "0 0 -1", "0.02 0.16 0"),  # rounded
+        ("0 0 3.14159265358979", "0 -1 0", "-0.02 0 0.16"),  # mirrored
+        ("0 0.4 1.57079632679490", None, None),
+    ],
+)
+def test_frames_of_links_may_lie_as_cad_left_them(rpy, axis, com):
+    """The same device, with a massless strap, whatever a frame's axes are."""
+    strap = (
+        '<link name="strap"/><joint name="sewn" type="fixed">'
+        '<parent link="calf"/><child link="strap"/>'
+        '<origin xyz="-0.03 0 0.2" rpy="{}"/></joint></robot>'
+    )
+    plain, turned = "0 0 0", rpy
+    changes = [("</robot>", strap.format(turned))]
+    if axis is not None:
+        changes = [
+            (CALF[1], f'{CALF[1]}<origin rpy="{rpy}"/>'),
+            (CALF[2], f'<axis xyz="{axis}"/>'),
+            (CALF[3], f'xyz="{com}"'),
+            # A rolled link's moments change places.
+            ('iyy="0.02" izz="0.006"', 'iyy="0.006" izz="0.02"')
+            if rpy.startswith("1.57")
+            else ("<robot", "<robot"),
+            ("</robot>", strap.format(plain)),
+        ]
+    cuffs = {"calf": CuffLinks("shank", "strap")}
+    worn = replace(ANKLE, cuffs=cuffs)
+    own = edited(worn, ("</robot>", strap.format(plain)))
+    other = edited(worn, *changes)
+    q, v, a = np.random.default_rng(0).normal(size=(3, 4, 7))
+    for one, two in ((own, other), (own.rigid, other.rigid)):
+        n = one.tree.num_positions
+        np.testing.assert_allclose(
+            two.tree.inverse_dynamics(q[:, :n], v[:, :n], a[:, :n]),
+            one.tree.inverse_dynamics(q[:, :n], v[:, :n], a[:, :n]),
+            atol=1e-4 if rpy == "1.5708 0 0" else 1e-8,
+        )
+    plant = other.plant()
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, q[0])
+    tree = other.tree
+    upright = np.zeros((1, 7))
+    for place in ((0.0, 0.25), (0.1, 0.0)):
+        ends = [
+            tree.point_positions(upright, b, place) for b in tree.cuffs["calf"]
+        ]
+        np.testing.assert_allclose(*ends, atol=1e-9)
+    shell = plant.GetBodyByName("calf_shell").EvalPoseInWorld(context)
+    p = shell @ np.array([0.1, 0.0, 0.25])
+    found = tree.point_positions(q[:1], "calf_shell", (0.1, 0.25))[0]
+    np.testing.assert_allclose(p[[0, 2]], found, atol=1e-5)
+
+
+SDF = """<sdf version="1.9"><model name="d" canonical_link="shank">
+<link name="shoe"><inertial><pose>0.05 0 -0.07 0 0 0</pose><mass>1.2</mass>
+<inertia><ixx>0.004</ixx><iyy>0.006</iyy><izz>0.006</izz></inertia></inertial></link>
+<joint name="motor" type="revolute"><pose relative_to="shoe">0 0 0 0 0 0</pose>
+<parent>shoe</parent><child> shank </child>
+<axis><xyz expressed_in="shank">0 1 0</xyz></axis></joint>
+<link name="shank"><pose relative_to="motor">0 0 0 0 0 0</pose>
+<inertial><pose>0.02 0 0.16 0 0 0</pose><mass>2.4</mass>
+<inertia><ixx>0.02</ixx><iyy>0.02</iyy><izz>0.006</izz></inertia></inertial>
+<visual name="v"><pose degrees="true">0 0 0.1 0 90 0</pose>
+<geometry><box><size>0.2 0.01 0.03</size></box></geometry></visual></link>
+</model></sdf>"""
+
+
+def test_places_in_an_sdf_may_be_told_from_joints():
+    """As `gz sdf -p` writes them; also of links that are renamed."""
+    assembly = Assembly(
+        device=DeviceFile({"shoe": "foot"}, Path("gz.sdf")),
+        cuffs={"calf": CuffLinks("shank", "shank")},
+    )
+    model = Model(brought_in(assembly, SDF), HUMAN)
+    own = built(ANKLE)
+    q, v, a = np.random.default_rng(0).normal(size=(3, 4, 7))
+    np.testing.assert_allclose(
+        model.tree.inverse_dynamics(q, v, a),
+        own.tree.inverse_dynamics(q, v, a),
+        atol=1e-9,
+    )
+    assert model.rigid.tree.mass == pytest.approx(own.tree.mass)
+
+
+def test_a_joint_that_follows_another_is_refused():
+    follow = ("</joint>", '<mimic joint="other"/></joint>')
+    with pytest.raises(InputError, match="'motor' follows another one"):
+        edited(ANKLE, follow)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            [
+                ('<parent link="shoe"/>', '<parent link="c"/>'),
+                ('<child link="calf"/>', '<child link="shoe"/>'),
+                ('<parent link="c"/>', '<parent link="calf"/>'),
+                ('<mass value="2.4"/>', '<mass value="0"/>'),
+                (
+                    'ixx="0.02" iyy="0.02" izz="0.006"',
+                    'ixx="0" iyy="0" izz="0"',
+                ),
+            ],
+            "link 'calf' moves and weighs nothing",
+        ),
+        (
+            [
+                ('xyz="0.02 0 0.16"', 'xyz="0 0 0"'),
+                (
+                    'ixx="0.02" iyy="0.02" izz="0.006"',
+                    'ixx="0" iyy="0" izz="0"',
+                ),
+            ],
+            "joint 'motor': what it turns has no inertia",
+        ),
+        ([('type="revolute"', 'type="planar"')], "joint 'motor' is planar"),
+        ([('"calf"', '"calf_shell"')], "rename the cuff"),
+    ],
+)
+def test_devices_without_dynamics_are_refused(change, words):
+    worn = replace(ANKLE, cuffs={"calf": CuffLinks("shank", "calf_shell")})
+    own = worn if change[0][1] == '"calf_shell"' else ANKLE
+    with pytest.raises(InputError, match=words):
+        edited(own, *change).tree  # noqa: B018
+
+
+ROUND = '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
+PAD = f"""<robot name="r">
+<link name="belt"><inertial><mass value="3"/>{ROUND}</inertial></link>
+<link name="bar"><inertial><mass value="1"/>{ROUND}</inertial></link>
+<link name="pad"><inertial><mass value="0.2"/>{ROUND}</inertial></link>
+<joint name="motor" type="continuous"><parent link="belt"/><child link="bar"/>
+<axis xyz="0 1 0"/></joint>
+<joint name="pivot" type="continuous"><parent link="bar"/><child link="pad"/>
+<origin xyz="0 0 -0.18"/><axis xyz="0 1 0"/></joint></robot>"""
+
+
+def test_a_link_between_goes_where_the_cuffs_stay_slack():
+    """A pad hinged to a hip exoskeleton's bar: the motor turns, not it."""
+    assembly = Assembly(
+        device=DeviceFile({"belt": "pelvis"}, Path("pad.urdf")),
+        cuffs={"thigh": CuffLinks("thigh", "pad")},
+    )
+    model = Model(brought_in(assembly, PAD), HUMAN)
+    names = model.coordinates
+    assert names.turned_by.tolist() == [[0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]
+    assert [names.follows(joint) for joint in names.device] == ["hip", None]
+    bent = names.aligned(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]))
+    ends = [
+        model.tree.point_positions(bent, body, (0.0, 0.2))
+        for body in model.tree.cuffs["thigh"]
+    ]
+    np.testing.assert_allclose(*ends, atol=1e-12)
+
+
+def test_the_shipped_cuffs_are_slack_wherever_their_links_lie():
+    nominal = nominal_model()
+    worn = nominal.exoskeleton
+    longer = replace(
+        worn, shank=replace(worn.shank, length_m=worn.shank.length_m + 0.02)
+    )
+    leaning = DeviceFile({"exo_foot": Weld("foot", (0.02, 0.0), 5.0)})
+    for model in (
+        replace(nominal, exoskeleton=longer),
+        replace(nominal, kind=replace(COUPLED, device=leaning)),
+    ):
+        context = (made := build_diagram(model)).diagram.CreateDefaultContext()
+        off = made.diagram.GetOutputPort("deflections").Eval(context)
+        np.testing.assert_allclose(off, 0.0, atol=1e-11)
