@@ -363,12 +363,8 @@ def nominal_contact(model: Model, law: Law = "simbody") -> ContactModel:
     }
     bushings = {}
     for name, (x, z) in model.cuffs.items():
-        across, along, turn = model.preload(name)
+        preload_x, preload_z = model.preload(name)
         bushings[name] = BushingParameters(
-            origin_x=x,
-            origin_z=z,
-            preload_x=across,
-            preload_z=along,
-            preload_angle=turn,
+            origin_x=x, origin_z=z, preload_x=preload_x, preload_z=preload_z
         )
     return ContactModel(GroundContact(law, spheres).checked(), bushings)

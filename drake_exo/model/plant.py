@@ -279,28 +279,18 @@ class Model:
             )
         return self.human.cuff_m(segment)
 
-    def preload(self, cuff: str) -> tuple[float, float, float]:
-        """From where on its link (x, z [m], angle [rad]) the cuff is slack.
+    def preload(self, cuff: str) -> tuple[float, float]:
+        """How far (x, z) the device's cuff is from the human's [m].
 
-        Upright it is, wherever the link lies, but where the device's cuff is
-        not the human's. A device of the user's own, and a cuff whose place the
-        description says, are worn slack.
+        Each in its own link. A device of the user's own is worn without, and a
+        cuff whose place the description says.
         """
         links = self.assembly.cuffs[cuff]
-        if self.exoskeleton is None:
-            return (0.0, 0.0, 0.0)
-        place = np.array(self._cuff_m(cuff))
-        held = place
-        if links.at_m is None:
-            held = np.array(self.exoskeleton.cuff_m(links.human))
-        segment, link = (
-            self.upright_poses[body] for body in (links.human, links.device)
-        )
-        a, b = segment[2], link[2]
-        p = segment[:2] + _turn_of(a) @ held - link[:2]
-        moved = _turn_of(-b) @ p - place
-        # Beyond that it is rounding.
-        return tuple(np.round([*moved, a - b], 12).tolist())
+        if self.exoskeleton is None or links.at_m is not None:
+            return (0.0, 0.0)
+        x, z = self._cuff_m(cuff)
+        device_x, device_z = self.exoskeleton.cuff_m(links.human)
+        return device_x - x, device_z - z
 
     def plant(self, plant: MultibodyPlant | None = None) -> MultibodyPlant:
         """The model as a plant.
@@ -463,17 +453,13 @@ def _poses(model: Model) -> dict[str, np.ndarray]:
     }
 
 
-def _turn_of(angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])
-
-
 def _seen_from(model: Model, base: str, body: str) -> Weld:
     """Place of one body on another while all stand upright."""
     poses = _poses(model)
-    *p, angle = poses[body] - poses[base]
-    x, z = (_turn_of(-poses[base][2]) @ p).tolist()
-    return Weld(base, (x, z), float(np.rad2deg(angle)))
+    x, z, angle = poses[body] - poses[base]
+    c, s = np.cos(poses[base][2]), np.sin(poses[base][2])
+    at = float(c * x + s * z), float(c * z - s * x)
+    return Weld(base, at, float(np.rad2deg(angle)))
 
 
 def _riding(model: Model, tree: PlanarTree) -> dict[str, str]:

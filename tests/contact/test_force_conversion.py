@@ -207,6 +207,17 @@ def test_bad_parameters_are_refused():
     with pytest.raises(InputError, match="needs a sphere"):
         FootGroundContact(body, replace(good, spheres={}))
     system = FootGroundContact(body, good)
+    context = system.CreateDefaultContext()
+    with pytest.raises(InputError, match="dissipation is -1"):
+        below = replace(heel, dissipation=-1.0)
+        spheres = dict.fromkeys(good.spheres, below)
+        system.set_parameters(context, replace(good, spheres=spheres))
+    # Constants that are left out are the law's, not this system's.
+    slippery = PaperConstants(transition_velocity=0.3)
+    other = FootGroundContact(body, replace(good, constants=slippery))
+    context = other.CreateDefaultContext()
+    other.set_parameters(context, replace(good, constants=None))
+    assert other.parameters(context).constants == PaperConstants()
     with pytest.raises(InputError, match="law 'paper' and the spheres heel"):
         system.set_parameters(
             system.CreateDefaultContext(),

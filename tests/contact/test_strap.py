@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drake_exo.contact.bushing import BushingParameters
+from drake_exo.contact.diagram import build_diagram
 from drake_exo.contact.parameters import Posterior, nominal_contact
 from drake_exo.contact.strap import (
     SOFTEST_N_M,
@@ -27,7 +28,8 @@ from drake_exo.errors import InputError
 from drake_exo.model.assembly import Assembly, CuffLinks, DeviceFile
 from drake_exo.model.description import models_path, nominal_human
 from drake_exo.model.device_file import brought_in
-from drake_exo.model.plant import Model
+from drake_exo.model.plant import Model, nominal_model
+from drake_exo.study import uncalibrated
 
 MOVED = Design(
     {
@@ -353,3 +355,16 @@ def test_a_design_s_device_has_its_cuffs_where_they_are_built(nominal):
     assert np.subtract(cuff.origin, was.origin) == pytest.approx((0.01, 0.02))
     shift = np.subtract(cuff.preload[:2], was.preload[:2])
     assert shift == pytest.approx((0.003, 0.005))
+
+
+def test_what_a_design_is_compared_with_is_worn_as_it_is():
+    """Nominal cuffs where the design has them, as slack as the design's."""
+    model, moved = nominal_model(), replace(MOVED, joints={})
+    own = nominal_contact(model)
+    usual = moved.contact(uncalibrated(model, own))
+    made = build_diagram(moved.model(model), usual)
+    context = made.diagram.CreateDefaultContext()
+    off = made.diagram.GetOutputPort("deflections").Eval(context)
+    np.testing.assert_allclose(off, 0.0, atol=1e-12)
+    place = np.add(own.bushings["thigh"].origin, (-0.01, 0.04))
+    assert usual.bushings["thigh"].origin == pytest.approx(tuple(place))

@@ -242,3 +242,8 @@ def test_a_tracking_controller_is_torque_and_feedback():
         state.FixValue(context, np.r_[q[k] + off, v[k] + rate])
         expected = torque[k] - 400.0 * off[3:] - 20.0 * rate[3:]
         np.testing.assert_allclose(port.Eval(context), expected)
+    # Before and after its times the ends are held.
+    for k, time in ((0, -1.0), (-1, 3.0)):
+        context.SetTime(time)
+        state.FixValue(context, np.r_[q[k], v[k]])
+        np.testing.assert_allclose(port.Eval(context), torque[k])

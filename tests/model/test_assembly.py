@@ -16,9 +16,10 @@ from drake_exo.calibration.settings import (
     Range,
     SphereSettings,
 )
-from drake_exo.contact.diagram import build_diagram
 from drake_exo.errors import InputError
 from drake_exo.files import schema
+from drake_exo.measurement.exoskeleton import friction_moments
+from drake_exo.measurement.settings import Device, JointDrive
 from drake_exo.model import plant as plant_module
 from drake_exo.model.assembly import (
     ASSEMBLIES,
@@ -406,7 +407,7 @@ def test_part_of_the_shipped_device():
     cuffs = {"thigh": replace(cuffs["thigh"], at_m=(0.0, 0.3))}
     model = replace(whole, kind=replace(whole.assembly, cuffs=cuffs))
     assert model.cuffs == {"thigh": (0.0, 0.3)}
-    assert model.preload("thigh") == (0.0, 0.0, 0.0)
+    assert model.preload("thigh") == (0.0, 0.0)
 
 
 LEG = ("hip", "knee", "ankle")
@@ -861,25 +862,15 @@ def test_a_link_between_goes_where_the_cuffs_stay_slack():
     names = model.coordinates
     assert names.turned_by.tolist() == [[0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]
     assert [names.follows(joint) for joint in names.device] == ["hip", None]
+    Device(hip=JointDrive(coulomb_nm=2.0)).check(names)
+    with pytest.raises(InputError, match="joint; it has hip"):
+        Device(ankle=JointDrive(coulomb_nm=2.0)).check(names)
+    ankle = Device(ankle=JointDrive(viscous_nm_s=5.0))  # of another device
+    moments = friction_moments(ankle, model.tree, np.ones((1, len(names))))
+    np.testing.assert_array_equal(moments, [[0.0, 0.0]])
     bent = names.aligned(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]))
     ends = [
         model.tree.point_positions(bent, body, (0.0, 0.2))
         for body in model.tree.cuffs["thigh"]
     ]
     np.testing.assert_allclose(*ends, atol=1e-12)
-
-
-def test_the_shipped_cuffs_are_slack_wherever_their_links_lie():
-    nominal = nominal_model()
-    worn = nominal.exoskeleton
-    longer = replace(
-        worn, shank=replace(worn.shank, length_m=worn.shank.length_m + 0.02)
-    )
-    leaning = DeviceFile({"exo_foot": Weld("foot", (0.02, 0.0), 5.0)})
-    for model in (
-        replace(nominal, exoskeleton=longer),
-        replace(nominal, kind=replace(COUPLED, device=leaning)),
-    ):
-        context = (made := build_diagram(model)).diagram.CreateDefaultContext()
-        off = made.diagram.GetOutputPort("deflections").Eval(context)
-        np.testing.assert_allclose(off, 0.0, atol=1e-11)
