@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -274,20 +274,26 @@ class Comparison:
         """Dotted key -> what each says, of keys that are not the same.
 
         Of predictions with the contact that they are made with; of one
-        subject with the model; with the filter of the first common trial.
+        subject with the model and the windows of the common trials; with the
+        filter of the first of these.
         """
         found = []
-        alone = len({r.summary["subject"] for r in self.results}) == 1
         for r in self.results:
             asked = {k: r.summary.get(k) for k in _ASKED}
             asked["accepted"] = ", ".join(asked["accepted"] or ()) or None
             if r.phase == "prediction":  # else it is the value reached
                 asked["objective"] = r.summary.get("objective")
                 asked["contact"] = read_calibration(r.folder).contact.values()
-            if alone:
+            measured = [
+                read_trial(r.folder, n, "measured") for n in self.trials
+            ]
+            if self._is_of_one():
                 asked["model"] = asdict(read_model(r.folder))
-            measured = read_trial(r.folder, self.trials[0], "measured")
-            asked["filter"] = measured.provenance.get("filter")
+                asked["window"] = {
+                    t.name: {"start_s": t.start_s, "duration_s": t.duration}
+                    for t in measured
+                }
+            asked["filter"] = measured[0].provenance.get("filter")
             found.append(dict(_leaves(asked, "")))
         rows = {}
         for key in dict.fromkeys(key for asked in found for key in asked):
@@ -295,6 +301,10 @@ class Comparison:
             if len(set(cells)) > 1:
                 rows[key] = cells
         return rows
+
+    def _is_of_one(self) -> bool:
+        """Whether all results are of one subject."""
+        return len({r.summary["subject"] for r in self.results}) == 1
 
     def parameters(self) -> dict[str, list[str]]:
         """Name and unit -> value and half of the 95 % interval of each."""
@@ -363,11 +373,22 @@ class Comparison:
         return [read_trial(folder, n, "measured") for n in self.trials]
 
     def figures(self) -> dict:
-        """Curves of all results over the measured ones, by name."""
+        """Curves of all results over the measured ones, by name.
+
+        Of one subject on the first result's times: windows may differ.
+        """
         from drake_exo.report import figures
 
         measured = self.measured()
         runs = {label: self.found(k) for k, label in enumerate(self.labels)}
+        if self._is_of_one():
+            runs = {
+                label: [
+                    replace(t, times=t.times + (t.start_s - m.start_s))
+                    for t, m in zip(run, measured, strict=True)
+                ]
+                for label, run in runs.items()
+            }
         drawn = {
             "kinematics": figures.kinematics_figure(runs, measured),
             "ground_reaction": figures.ground_reaction_figure(runs, measured),

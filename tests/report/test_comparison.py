@@ -17,6 +17,7 @@ from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.output import Check, Verdict, write_json
 from drake_exo.model.plant import nominal_model
+from drake_exo.report import figures
 from drake_exo.report.gathering import _labels, compare
 from drake_exo.virtual_laboratory import synthetic
 
@@ -123,6 +124,26 @@ def test_model_contact_and_filter_count_among_settings(tmp_path, trials):
     # Two people differ in all of a model.
     bert = leave(tmp_path / "c", trials, 0.0, model=light, subject="bert")
     assert list(compare([first, bert]).settings()) == ["subject"]
+
+
+def test_windows_of_one_recording_are_told_and_drawn_where_they_lie(
+    tmp_path, trials, monkeypatch
+):
+    late = replace(trials[0], start_s=0.25)
+    late = late.sample(np.linspace(0.1, 0.6, 21))
+    late = replace(late, times=late.times - 0.1, start_s=0.35)
+    first = leave(tmp_path / "a", [replace(trials[0], start_s=0.25)], 0.0)
+    found = compare([first, leave(tmp_path / "b", [late], 0.0)])
+    window = f"window.{late.name}"
+    assert found.settings() == {
+        f"{window}.start_s": ["0.25", "0.35"],
+        f"{window}.duration_s": ["0.8", "0.5"],
+    }
+    for name in ("kinematics", "ground_reaction", "interaction"):
+        monkeypatch.setattr(figures, f"{name}_figure", lambda runs, _: runs)
+    drawn = found.figures()["ground_reaction"]
+    np.testing.assert_allclose(drawn["a"][0].times[[0, -1]], (0.0, 0.8))
+    np.testing.assert_allclose(drawn["b"][0].times[[0, -1]], (0.1, 0.6))
 
 
 def test_half_widths_and_marks(folders, tmp_path, trials):
