@@ -166,8 +166,8 @@ def interaction_figure(
         trials: as measured.
         bands: around those of the first run, if there are any.
     """
-    found = next(t for run in runs.values() for t in run if t is not None)
-    rows = _cuff_rows(found)
+    found = [t for run in runs.values() for t in run if t is not None]
+    rows = _cuff_rows(*found)
     first = next(iter(runs.values()))
 
     def shade(axes) -> None:
@@ -178,16 +178,19 @@ def interaction_figure(
     return _drawn(runs, trials, rows, shade=shade)
 
 
-def _cuff_rows(found: Trial) -> list[tuple]:
+def _cuff_rows(*found: Trial) -> list[tuple]:
     def signal(cuff):
         return lambda t: t.cuffs[cuff].normal if cuff in t.cuffs else None
 
-    return [(f"{cuff} normal [N]", signal(cuff)) for cuff in found.cuffs]
+    # Models that are compared may have other cuffs.
+    cuffs = dict.fromkeys(cuff for trial in found for cuff in trial.cuffs)
+    return [(f"{cuff} normal [N]", signal(cuff)) for cuff in cuffs]
 
 
 def _shade(axes, trial: Trial, band: Bands) -> None:
     """Bands of normal forces, as `Bands.coverage` counts them."""
-    for ax, cuff in zip(axes, trial.cuffs, strict=True):
+    # Rows of other runs' cuffs come after those of the first.
+    for ax, cuff in zip(axes, trial.cuffs, strict=False):
         off = band.off_mats.get(cuff, 0.0)
         _draw_band(ax, trial, band, cuff, _MODEL, off=off)
 
@@ -365,7 +368,6 @@ def _run_curves(trial: Trial, name: str, signals, color, dash):
             "ls": ":",
         }
         curves.append((trial.times, device(trial), style))
-    # Models that are compared may have other cuffs.
     return [curve for curve in curves if curve[1] is not None]
 
 

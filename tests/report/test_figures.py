@@ -187,6 +187,19 @@ def test_normal_forces_of_several_runs_where_there_are_any(trials, found):
     assert legend == ["measured", "C1", "C2"]
 
 
+def test_cuffs_of_every_run_have_a_row_whichever_comes_first(trials, found):
+    thigh = found[0].cuffs["thigh"]
+    less = [replace(found[0], cuffs={"thigh": thigh})]
+    for runs in ({"a": less, "b": found[:1]}, {"b": found[:1], "a": less}):
+        labels = {
+            ax.get_ylabel(): list(colours(ax))
+            for ax in figures.interaction_figure(runs, trials[:1]).axes
+        }
+        assert set(labels) == {f"{c} normal [N]" for c in found[0].cuffs}
+        assert "a" not in labels["pelvis normal [N]"]
+        assert "b" in labels["pelvis normal [N]"]
+
+
 def band_of(trial, width: float) -> Bands:
     n = len(trial.times)
     cuffs = {c: np.tile([1.0, width, 2.0], (n, 1)) for c in trial.cuffs}
