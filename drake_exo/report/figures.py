@@ -36,6 +36,7 @@ from drake_exo.files.schema import quantity
 from drake_exo.measurement.quality import TrialQuality
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import without_side
+from drake_exo.model.coordinates import Coordinates
 from drake_exo.report.gathering import rounded
 
 Runs = Mapping[str, Sequence[Trial | None]]
@@ -143,17 +144,27 @@ def _velocity_rows(trial: Trial) -> list[tuple]:
 
 
 def _joint_rows(trial: Trial, read, unit: str) -> list[tuple]:
+    """One of the device's joints shares the row of the human's beside it."""
     names = trial.coordinates
     beside = {names.follows(name): name for name in names.device}
+    beside.pop(None, None)  # one that stands still is beside none
+    alone = [name for name in names.device if name not in beside.values()]
     rows = []
-    for joint in names.human:
+    for joint in (*names.human, *alone):
         signals = [
             lambda t, name=name: np.rad2deg(read(t, name))
             for name in (joint, beside.get(joint))
             if name
         ]
-        rows.append((f"{joint} [{unit}]", *signals))
+        rows.append((f"{_joint_name(names, joint)} [{unit}]", *signals))
     return rows
+
+
+def _joint_name(names: Coordinates, joint: str) -> str:
+    """As it stands on the axes of its own row."""
+    if joint in names.device:
+        return f"exo. {joint.removeprefix('exo_')}"
+    return joint
 
 
 def interaction_figure(
@@ -262,9 +273,7 @@ def moments_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
     names = trials[0].coordinates
     rows = []
     for joint in names.joints:
-        whose = "exo. " if joint in names.device else ""
-        label = f"{whose}{joint.removeprefix('exo_')} [N m]"
-        rows.append((label, signal(joint)))
+        rows.append((f"{_joint_name(names, joint)} [N m]", signal(joint)))
     return _drawn(runs, trials, rows, height=1.35)
 
 

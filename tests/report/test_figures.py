@@ -139,6 +139,25 @@ def test_angles_and_velocities_of_both(trials, found):
                 assert len(drawn) == 4
 
 
+@undrawn()
+def test_every_joint_of_the_device_is_drawn(trials, found, monkeypatch):
+    """Of two beside one human joint, and of one beside none."""
+    beside = {"exo_ankle": None, "exo_knee": "hip", "exo_hip": "hip"}
+    monkeypatch.setattr(Coordinates, "follows", lambda _, name: beside[name])
+    figure = figures.kinematics_figure({"model": found[:1]}, trials[:1])
+    rows = panels(figure)
+    assert list(rows)[:5] == [
+        f"{j} [°]" for j in (*JOINTS[:3], "exo. ankle", "exo. knee")
+    ]
+    for label, joint, place in (
+        ("hip", "model, exoskeleton", 8),
+        ("exo. knee", "model", 7),
+        ("exo. ankle", "model", 6),
+    ):
+        drawn = lines(rows[f"{label} [°]"][0])
+        same(drawn[joint], found[0].times, DEGREES * found[0].q[:, place])
+
+
 @pytest.mark.slow
 @undrawn()
 def test_moments_of_every_joint(trials, found):
