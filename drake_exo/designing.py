@@ -18,7 +18,11 @@ from drake_exo.calibration.design_result import DesignResult, works
 from drake_exo.calibration.design_variables import GAINS, design_of
 from drake_exo.calibration.phases import check_has_cuffs, check_knows_cuffs
 from drake_exo.calibration.problem import PhaseResult
-from drake_exo.calibration.settings import DesignSettings, PredictionSettings
+from drake_exo.calibration.settings import (
+    DesignLimits,
+    DesignSettings,
+    PredictionSettings,
+)
 from drake_exo.calibration.solving import SolveWatch
 from drake_exo.calibration.uncertainty import bands
 from drake_exo.calibration.wearers import (
@@ -475,8 +479,9 @@ def front(made: Designed, shares: Sequence[float] = SHARES) -> list[dict]:
 
     Args:
         made: a design that was found.
-        shares: of the device's work of today. Factors on its torques may go
-            as low as the share asks for.
+        shares: of the device's work of today, kept within the settings'
+            limit or, where there is none, its default. Factors on its torques
+            may go as low as the share asks for.
 
     Returns:
         Rows share, work_j, norm_n, success, design, and whether another one
@@ -486,9 +491,13 @@ def front(made: Designed, shares: Sequence[float] = SHARES) -> list[dict]:
     rows = []
     problem, settings = made.found.problem, made.settings
     low, high = settings.assistance
+    limits = settings.limits
+    if limits.support is None:  # a share that nothing keeps is none
+        limits = replace(limits, support=DesignLimits().support)
     for share in shares:
         wide = replace(
             settings,
+            limits=limits,
             assistance=(min(low, low * share), max(high, high * share)),
         )
         try:

@@ -518,6 +518,26 @@ def test_less_support_costs_less_force(found):
     assert rows[0]["work_j"] == pytest.approx(0.6 * rows[1]["work_j"], rel=0.02)
 
 
+@pytest.mark.parametrize(("given", "kept"), [(None, 0.005), (0.02, 0.02)])
+def test_a_front_keeps_its_shares_where_a_design_need_not(
+    given, kept, monkeypatch
+):
+    asked = []
+
+    def posed(_, settings, **__):
+        asked.append(settings.limits.support)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(designing, "DesignProblem", posed)
+    settings = replace(SETTINGS, limits=DesignLimits(support=given))
+    problem = SimpleNamespace(wearers=[], without=())
+    made = SimpleNamespace(
+        found=SimpleNamespace(problem=problem), settings=settings, today=None
+    )
+    assert front(made) == []
+    assert asked == [kept]
+
+
 @pytest.mark.slow
 def test_a_failed_design_is_sealed_and_written_as_such(found, tmp_path):
     short = replace(SETTINGS, solver=replace(SOLVER, max_iterations=2))
