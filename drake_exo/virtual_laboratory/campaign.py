@@ -427,11 +427,19 @@ def read_about(folder: str | Path) -> dict:
         folder: that it wrote.
 
     Raises:
-        InputError: it holds no campaign of the virtual laboratory.
+        InputError: it holds no campaign of the virtual laboratory, or one
+            that wears a design, or of two legs.
     """
     remedy = "give the study.yaml of 'drake-exo lab'"
     path = Path(folder) / "truth" / "truth.json"
     about = read_json(path, remedy)
+    if isinstance(about, dict):
+        for key, how in (("design", "--design"), ("left_share", "--model")):
+            if key in about:
+                raise InputError(
+                    f"{path}: is of 'drake-exo lab {how}', on which no "
+                    f"design is built; {remedy} without {how}"
+                )
     try:
         return {
             "seed": int(about["seed"]),

@@ -190,3 +190,7 @@ def test_what_a_campaign_was_made_with(tmp_path):
     path.unlink()
     with pytest.raises(InputError, match="truth"):
         read_about(tmp_path)
+    for key, how in (("design", "--design"), ("left_share", "--model")):
+        path.write_text(json.dumps(about | {key: {}}))
+        with pytest.raises(InputError, match=f"'drake-exo lab {how}', on wh"):
+            read_about(tmp_path)
