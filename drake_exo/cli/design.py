@@ -105,7 +105,9 @@ def run(args: argparse.Namespace) -> int:
     for study in studies:
         if args.response:
             study.design = replace(study.design, response=args.response)
-    laboratory = _laboratory(args.study[0]) if args.verify else None
+    laboratory = None
+    if args.verify:
+        laboratory = _laboratory(args.study[0], studies[0])
     reads = [path for study in studies for path in study.reads]
     reads += args.calibration
     folder = prepare_output_folder(args.out, args.force, reads=reads)
@@ -133,11 +135,28 @@ def run(args: argparse.Namespace) -> int:
     return STOPPED_CODE if stopped else verdict.exit_code
 
 
-def _laboratory(path: Path) -> dict:
+def _laboratory(path: Path, study: RecordedStudy) -> dict:
     """Seed, disturbances and kind of the laboratory beside a study file."""
-    from drake_exo.virtual_laboratory.campaign import read_about
+    from drake_exo.virtual_laboratory.campaign import protocol, read_about
 
-    return read_about(path.parent)
+    about = read_about(path.parent)
+    built = [m.name for m in protocol() if m.mode == "assisted"]
+    for name in _windows(study):
+        if name not in built:
+            raise InputError(
+                f"{path}: trials: {name!r} is for prediction, but --verify "
+                f"builds {', '.join(built)}; let others have another use"
+            )
+    return about
+
+
+def _windows(study: RecordedStudy) -> dict[str, dict[str, float | None]]:
+    """Used part of each trial for prediction, by its name."""
+    return {
+        t.name: {"start_s": t.start_s, "end_s": t.end_s}
+        for t in study.file.trials
+        if t.use == "prediction"
+    }
 
 
 def _built(
@@ -151,7 +170,18 @@ def _built(
     path = write_campaign(
         folder, **laboratory, design=made.design, assisted=True
     )
-    measured = read_study(path).trials("prediction")
+    # Like with like: the study's trials, in its windows and by its filter.
+    windows, there = _windows(study), read_study(path).file
+    there = replace(
+        there,
+        filter=study.file.filter,
+        trials=tuple(
+            replace(t, **windows[t.name])
+            for t in there.trials
+            if t.name in windows
+        ),
+    )
+    measured = RecordedStudy(there, folder).trials("prediction")
     (name,) = made.before
     return built(made, study, {name: measured})
 

@@ -1,11 +1,13 @@
 """A design on the laboratory's subject: tissue and person stay."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import drake_exo as dx
+from drake_exo.cli import design as command
 from drake_exo.cli import main
 from drake_exo.contact.strap import (
     Assistance,
@@ -15,6 +17,7 @@ from drake_exo.contact.strap import (
     Gains,
 )
 from drake_exo.errors import InputError
+from drake_exo.virtual_laboratory import campaign
 from drake_exo.virtual_laboratory.campaign import (
     Campaign,
     Repetition,
@@ -173,6 +176,50 @@ def test_the_laboratory_reads_designs(tmp_path, capsys):
     assert not out.exists()
 
 
+def test_what_was_built_is_read_as_the_study_reads(tmp_path, monkeypatch):
+    """The trials that it predicts, in its windows, by its filter."""
+    job = Campaign(tmp_path, 3, frozenset(), "c3d", "near")
+    names = ("assisted_legs_3_3", "assisted_legs_4_3")
+    paths = []
+    for filter_hz, (start_s, count) in ((6.0, (1.0, 2)), (9.0, (1.2, 1))):
+        path = tmp_path / f"{filter_hz:g}" / "study.yaml"
+        path.parent.mkdir()
+        entries = [
+            {
+                **dict(name=name, use="prediction", markers="x.c3d"),
+                **dict(forces="x.c3d", plates={"left": 1, "right": 2}),
+                **dict(start_s=start_s, end_s=3.0),
+            }
+            for name in names[:count]
+        ]
+        write_study(path, job.truth, job.laboratory, {}, entries)
+        text = path.read_text().replace(
+            "cutoff_hz: 6.0", f"cutoff_hz: {filter_hz}"
+        )
+        path.write_text(text)
+        paths.append(path)
+    there, own = paths
+    monkeypatch.setattr(campaign, "write_campaign", lambda *_, **__: there)
+    monkeypatch.setattr(command, "built", lambda _, study, measured: measured)
+    monkeypatch.setattr(dx.study.RecordedStudy, "trials", lambda s, _: s.file)
+    made = SimpleNamespace(design=DESIGN, before=["anna"])
+    study = dx.read_study(own)
+    file = command._built(made, study, {}, tmp_path)["anna"]
+    assert [t.name for t in file.trials] == [names[0]]
+    assert (file.trials[0].start_s, file.filter.cutoff_hz) == (1.2, 9.0)
+
+
+def test_a_trial_that_no_laboratory_builds_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(campaign, "read_about", lambda _: {})
+    trials = [
+        SimpleNamespace(name=n, use="prediction", start_s=None, end_s=None)
+        for n in ("assisted_legs_3_3", "passive_legs_5_3")
+    ]
+    study = SimpleNamespace(file=SimpleNamespace(trials=trials))
+    with pytest.raises(InputError, match="'passive_legs_5_3' is for predict"):
+        command._laboratory(tmp_path / "study.yaml", study)
+
+
 def test_what_a_campaign_was_made_with(tmp_path):
     (tmp_path / "truth").mkdir()
     path = tmp_path / "truth" / "truth.json"
@@ -183,6 +230,10 @@ def test_what_a_campaign_was_made_with(tmp_path):
         "truth": "wide",
         "disturbances": frozenset({"shear"}),
     }
+    for key, how in (("design", "--design"), ("left_share", "--model")):
+        path.write_text(json.dumps(about | {key: {}}))
+        with pytest.raises(InputError, match=f"'drake-exo lab {how}', on wh"):
+            read_about(tmp_path)
     for damaged in ("{}", '{"seed": "x"}', "[1]"):
         path.write_text(damaged)
         with pytest.raises(InputError, match=r"truth\.json"):
@@ -190,7 +241,3 @@ def test_what_a_campaign_was_made_with(tmp_path):
     path.unlink()
     with pytest.raises(InputError, match="truth"):
         read_about(tmp_path)
-    for key, how in (("design", "--design"), ("left_share", "--model")):
-        path.write_text(json.dumps(about | {key: {}}))
-        with pytest.raises(InputError, match=f"'drake-exo lab {how}', on wh"):
-            read_about(tmp_path)
