@@ -45,6 +45,7 @@ from drake_exo.report.gathering import (
     audit_table,
     clocks_table,
     format_table,
+    not_solved_uncalibrated,
     rmsd_table,
 )
 from drake_exo.study import (
@@ -355,7 +356,10 @@ def _write(
     text = rmsd_table(summary["rmsd"], summary["measured_sd"])
     usual = [r for r in summary["rmsd_uncalibrated"] if r is not None]
     if usual:
-        text += "\n\nthe same with uncalibrated cuffs\n" + rmsd_table(usual)
+        failed = not_solved_uncalibrated(summary)
+        left = f" (not solved: {', '.join(failed)})" if failed else ""
+        text += f"\n\nthe same with uncalibrated cuffs{left}\n"
+        text += rmsd_table(usual)
     text += f"\nmovements start from {summary['starts_from']}"
     write_text(out / "rmsd.txt", text, verdict.mark)
     print(text)

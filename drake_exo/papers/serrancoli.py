@@ -15,6 +15,7 @@ from drake_exo.report.gathering import (
     format_table,
     lookup,
     mean_and_sd,
+    not_solved_uncalibrated,
     rmsd_signals,
 )
 
@@ -129,11 +130,17 @@ def comparison(runs: dict[str, Results]) -> list[list]:
 
 def _missing(runs: dict[str, Results]) -> list[str]:
     """Trials that stand in no mean."""
+    sets = []
+    for label, r in runs.items():
+        sets.append((label, r.summary["rmsd"], r.not_solved))
+        if r.uncalibrated:
+            failed = not_solved_uncalibrated(r.summary)
+            sets.append((f"{label} uncalibrated", r.uncalibrated, failed))
     return [
-        f"{label}: means are of {len(r.summary['rmsd'])} trials; not solved: "
-        + ", ".join(r.not_solved)
-        for label, r in runs.items()
-        if r.not_solved
+        f"{label}: means are of {len(rows)} trials; not solved: "
+        + ", ".join(failed)
+        for label, rows, failed in sets
+        if failed
     ]
 
 

@@ -104,6 +104,13 @@ class Results:
         return read_trial(self.folder, trial, source)
 
 
+def not_solved_uncalibrated(summary: dict[str, Any]) -> list[str]:
+    """Trials of a summary that nominal cuffs did not solve, by name."""
+    rows = summary.get("rmsd_uncalibrated", [])
+    pairs = zip(summary["rmsd"], rows, strict=False)
+    return [row["trial"] for row, usual in pairs if usual is None]
+
+
 def is_design(folder: Path) -> bool:
     """Whether `drake-exo design` wrote a folder."""
     path = Path(folder) / "summary.json"

@@ -95,12 +95,17 @@ def test_what_is_predicted_uncalibrated_is_kept(trials, tmp_path, monkeypatch):
     usual = replace(trials[0], source="solved", moments=trials[0].moments + 9.0)
     names = ("rmsd", "rmsd_uncalibrated", "solves")
     summary = dict.fromkeys(names, ()) | {"measured_sd": {}, "starts_from": ""}
+    summary["rmsd"] = [{"trial": t.name, "angles_deg": 1.0} for t in trials[:2]]
+    summary["rmsd_uncalibrated"] = [summary["rmsd"][0], None]
     shown = []
     monkeypatch.setattr(predict, "draw_figures", lambda *a: shown.extend(a[3]))
     found = SimpleNamespace(write=lambda *_: None)
     good = [(found, usual, trials[0]), (found, None, trials[1])]
     predict._write(tmp_path, good, [None, None], summary, Verdict(()))
     assert shown == [usual, None]
+    assert "the same with uncalibrated cuffs (not solved: rise2)" in (
+        (tmp_path / "rmsd.txt").read_text("utf-8")
+    )
     found = read_trial(tmp_path, "rise1", "uncalibrated")
     np.testing.assert_array_equal(found.moments, usual.moments)
     assert len(list(tmp_path.glob("uncalibrated_*"))) == 2

@@ -231,6 +231,8 @@ def test_a_prediction_stands_beside_nominal_cuffs():
     ]
     assert found["angle knee [deg]"][place] is None
     assert {len(row) for row in rows} == {len(rows[0])}
+    _, texts = serrancoli.tables(list(runs.values()))
+    assert texts[1] == ("C1 uncalibrated: means are of 1 trials; not solved: b")
 
 
 def test_changes_by_a_scaled_interaction_are_ratios():
