@@ -438,7 +438,7 @@ def summary(batch: Batch) -> dict:
             for task in batch.tasks
         ],
         "verdicts": dict(Counter(row.verdict for row in found.values())),
-        "verdict": "does not hold" if batch.bad else "holds",
+        "verdict": FAILS if batch.bad else HOLDS,
     }
 
 

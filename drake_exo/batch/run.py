@@ -38,7 +38,14 @@ from drake_exo.batch.file import (
     tasks_of,
 )
 from drake_exo.errors import InputError, first_line
-from drake_exo.files.output import MANIFEST, locked, write_json
+from drake_exo.files.output import (
+    FAILS,
+    HOLDS,
+    MANIFEST,
+    UNSOLVED,
+    locked,
+    write_json,
+)
 from drake_exo.jobs.engine import BatchProgress, Ended, Job, Pool, run_jobs
 from drake_exo.jobs.process_child import function_of
 
@@ -47,7 +54,7 @@ DRAFTS = ".drafts"
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 # Where a run that was killed can go on, and end as it would have.
 _CHECKPOINTS = {"sole optimize": "checkpoint.json"}
-_WORDS = {0: "holds", 1: "not solved", 2: "failed", 3: "does not hold"}
+_WORDS = {0: HOLDS, 1: UNSOLVED, 2: "failed", 3: FAILS}
 
 
 @dataclass(frozen=True)
@@ -368,16 +375,20 @@ class Batch:
 
     @property
     def bad(self) -> list[tuple[Task, Outcome]]:
-        """Tasks that failed or do not hold."""
+        """Tasks that failed or do not hold, accepted or not."""
         rows = [(task, self.outcomes[task.name]) for task in self.tasks]
-        return [(task, found) for task, found in rows if found.code != 0]
+        return [
+            (task, found)
+            for task, found in rows
+            if found.code != 0 or found.verdict != HOLDS
+        ]
 
     @property
     def exit_code(self) -> int:
-        """0 where every task is done and holds, 130 by Ctrl-C, else 3."""
+        """0 where every task holds or is accepted, 130 by Ctrl-C, else 3."""
         if self.interrupted:
             return 130
-        return 3 if self.bad else 0
+        return 3 if any(found.code != 0 for _, found in self.bad) else 0
 
 
 def run_batch(

@@ -30,6 +30,7 @@ from drake_exo.batch.results import (
     write_table,
 )
 from drake_exo.batch.run import Batch, outcome
+from drake_exo.cli.batch import text_of
 from drake_exo.files.output import write_json
 
 SUMMARY = {
@@ -162,6 +163,17 @@ def test_told_once(batch):
         "failed": 1,
     }
     assert batch.exit_code == 3
+
+
+def test_what_is_accepted_does_not_hold_and_ends_with_0(batch):
+    (task, *_) = batch.tasks
+    found = outcome(task, 0, "audit: off by 3 N", "does not hold")
+    accepted = Batch(batch.out, (task,), {task.name: found}, 1)
+    assert accepted.exit_code == 0
+    assert summary(accepted)["verdict"] == "does not hold"
+    text = text_of(accepted)
+    assert text.startswith(f"{task.name}: does not hold: audit: off by 3 N")
+    assert "0 of 1 tasks hold" in text
 
 
 def results_in(path: Path) -> dict:
