@@ -211,8 +211,10 @@ def unit_of(signal: str) -> str:
     >>> unit_of("rmsd.velocities_deg_s.exo_hip"), unit_of("rmsd.cop_mm")
     ('deg/s', 'mm')
     """
-    parts = signal.split(".")
-    for part in reversed(parts if parts[0] != "band_coverage" else ()):
+    first, *rest = signal.split(".")
+    if first == "band_coverage" and rest[0] != "half_width_n":
+        return ""
+    for part in reversed([first, *rest]):
         for end, unit in _UNITS.items():
             if part.endswith(end):
                 return unit

@@ -104,6 +104,7 @@ def test_units():
     assert unit_of("volume_cm3") == "cm^3"
     assert unit_of("felt.thigh.before.pressure_kpa") == "kPa"
     assert unit_of("band_coverage.angles_deg.exo_hip") == ""
+    assert unit_of("band_coverage.half_width_n.pelvis") == "N"
 
 
 def test_numbers_of_a_design():
