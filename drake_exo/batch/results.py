@@ -537,6 +537,8 @@ def draw_figures(out: Path, rows: list[Row]) -> dict[str, str]:
         Name of each file -> what it shows.
     """
     drawn = {}
+    # A sole's are of no prediction.
+    rows = [row for row in rows if row.phase == "predict"]
     variants = list(dict.fromkeys(row.variant for row in rows))
     for variant in variants[:_MOST_VARIANTS]:
         own = [row for row in rows if row.variant == variant]
@@ -556,8 +558,7 @@ def draw_figures(out: Path, rows: list[Row]) -> dict[str, str]:
 
 def _mark(rows: list[Row]) -> str:
     """Which of the results that are drawn do not hold."""
-    shown = [row for row in rows if row.phase == "predict"]
-    off = [row.folder for row in shown if not row.verdict.startswith(HOLDS)]
+    off = [row.folder for row in rows if not row.verdict.startswith(HOLDS)]
     return mark_of(FAILS, list(dict.fromkeys(off))) if off else ""
 
 
@@ -565,7 +566,7 @@ def _over_subjects(rows: list[Row]) -> Figure | None:
     """Mean and SD over subjects of each signal's RMSD."""
     values: dict[str, dict[str, dict]] = {}
     for row in rows:
-        if row.phase == "predict" and row.value is not None:
+        if row.value is not None:
             group, _, name = row.signal.rpartition(".")
             if group in _GROUPS:
                 of_subjects = values.setdefault(group, {}).setdefault(name, {})

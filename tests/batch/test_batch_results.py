@@ -331,6 +331,17 @@ def test_each_variant_has_figures_of_its_own(tmp_path):
     assert all((tmp_path / name).is_file() for name in drawn)
 
 
+def test_a_swept_sole_leaves_figures_of_studies_as_they_are(tmp_path):
+    rows = [
+        replace(
+            _row("sole", "", "c_rot", 5.0), phase="sole simulate", variant=v
+        )
+        for v in map(str, range(results._MOST_VARIANTS))
+    ]
+    rows.append(replace(_row("a", "1", "rmsd.grf_n.vertical", 5.0), variant=""))
+    assert list(draw_figures(tmp_path, rows)) == ["over_subjects.png"]
+
+
 def _row(subject, trial, signal, value):
     return Row(subject, trial, "predict", signal, value, "N", *"hvf")
 
