@@ -332,9 +332,11 @@ def write_parameters(folder: Path, truth: Truth, about: dict) -> None:
         "gravity": truth.model.gravity_m_s2,
     }
     write_json(folder / "truth.json", {**about, "parameters": whole})
+    # A phase's cuff slips by its bushing's law, the laboratory's by its own.
+    cuffs = {n: replace(c.bushing, slip=c.slip) for n, c in truth.cuffs.items()}
     for name, contacts in (
         ("foot_ground", truth.contact.spheres),
-        ("interaction", {n: c.bushing for n, c in truth.cuffs.items()}),
+        ("interaction", cuffs),
     ):
         values = {
             f"{part}.{key}": value

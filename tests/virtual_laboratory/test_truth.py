@@ -364,7 +364,8 @@ def test_truth_is_written_in_si_units(tmp_path):
     told = read_json(tmp_path / "interaction.json", "")
     assert told["seed"] == 7
     for cuff, own in made.cuffs.items():
-        for key, value in vars(own.bushing).items():
+        assert own.slip > 0.0
+        for key, value in (vars(own.bushing) | {"slip": own.slip}).items():
             assert told["parameters"][f"{cuff}.{key}"] == value
     told = read_json(tmp_path / "foot_ground.json", "")["parameters"]
     for name, sphere in made.contact.spheres.items():
