@@ -249,7 +249,8 @@ def _replay_design(folder: Path, path: Path) -> None:
         for name in summary["trials"]
     ]
     who = str(summary["subjects"][0]).replace("_", " ")
-    write_replay(path, drawn.model, trials, f"Design for {who}", "today")
+    # Of today: a cuff that is left out pushes there.
+    write_replay(path, model, trials, f"Design for {who}", "today")
 
 
 def _title(found: Sequence[Results]) -> str:
@@ -327,7 +328,7 @@ def write_replay(
 
     Args:
         path: of the page; some MB for the meshes, 0.2 MB for each trial.
-        model: to be drawn.
+        model: with all cuffs whose forces are drawn.
         trials: the first one is played at first.
         title: of the page.
         other: what the translucent model is, in a word.

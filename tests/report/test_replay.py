@@ -7,9 +7,14 @@ from page_reader import clip_titles, network_addresses, player_data
 from replayed_results import CONTACT, LEAD, rise, solution, write_results
 from replayed_results import MODEL as COUPLED
 
-from drake_exo.calibration.results import MODEL
+from drake_exo.calibration.results import (
+    MODEL,
+    write_contact,
+    write_model,
+)
 from drake_exo.contact.diagram import build_diagram
 from drake_exo.contact.parameters import nominal_contact
+from drake_exo.contact.strap import TODAY, CuffDesign, Design, write_design
 from drake_exo.errors import InputError
 from drake_exo.files.output import Check, read_json, write_json
 from drake_exo.measurement.sagittal import PlanarWrench
@@ -234,6 +239,28 @@ def test_what_does_not_hold_is_marked_on_the_page(tmp_path):
     replay_results(folder, tmp_path / "page.html")
     (clip,) = player_data(tmp_path / "page.html")["clips"]
     assert clip["mark"].startswith("DOES NOT HOLD: audit (rise_1, 2.5 N")
+
+
+def test_a_cuff_that_a_design_leaves_out_pushes_today(tmp_path):
+    folder, moved = tmp_path / "designed", solution()
+    (folder / TODAY).mkdir(parents=True)
+    design = Design({"shank": CuffDesign(removed=True)})
+    write_design(folder, design)
+    write_model(folder, COUPLED)
+    write_contact(folder, design.contact(CONTACT))
+    write_contact(folder / TODAY, CONTACT)
+    moved.save(folder / f"before_{moved.name}")
+    cuffs = {c: f for c, f in moved.cuffs.items() if c != "shank"}
+    replace(moved, cuffs=cuffs).save(folder / f"after_{moved.name}")
+    summary = {"phase": "design", "success": True, "subjects": ["a"]}
+    summary["trials"] = [moved.name]
+    write_json(folder / "summary.json", summary)
+    replay_results(folder, tmp_path / "page.html")
+    data = player_data(tmp_path / "page.html")
+    assert {a["name"] for a in data["arrows"]} == set(
+        data["clips"][0]["arrows"]
+    )
+    assert "shank_measured" in data["clips"][0]["arrows"]
 
 
 def test_motion_is_sampled_between_nodes():
