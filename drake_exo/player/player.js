@@ -266,8 +266,6 @@
     const shift = mode === "beside" ? beside : [0, 0, 0];
     shifts[root] = shifts[`${root}/arrows`] = shift;
     place(root, moved(...shift));
-    toggle(root, mode !== "hidden");
-    toggle(`${root}/arrows`, mode !== "hidden");
     const { eye, target } = page.camera, back = mode === "beside" ? 1.35 : 1;
     const middle = target.map((v, i) => v + shift[i] / 2);
     look(eye.map((v, i) => middle[i] + back * (v - target[i])), middle);
@@ -275,6 +273,18 @@
   const toggle = (path, on) => {
     if (on) hidden.delete(path); else hidden.add(path);
     show(path, on);
+  };
+  // A box shows nothing of a ghost that is hidden, nor the ghost what is off.
+  const reveal = () => {
+    const root = page.ghost && page.ghost.root;
+    const gone = root && $("player-ghost").value === "hidden";
+    if (root)
+      for (const path of [root, `${root}/arrows`]) toggle(path, !gone);
+    page.switches.forEach(({ paths }, i) => {
+      const on = $(`player-switch-${i}`).checked;
+      for (const path of paths)
+        toggle(path, on && !(gone && path.startsWith(`${root}/`)));
+    });
   };
   const play = (on) => {
     state.playing = on;
@@ -292,10 +302,12 @@
       draw();
     };
     if (page.ghost)
-      $("player-ghost").onchange = (e) => ghost(e.target.value);
-    page.switches.forEach((item, i) => {
-      const box = $(`player-switch-${i}`);
-      box.onchange = () => item.paths.forEach((p) => toggle(p, box.checked));
+      $("player-ghost").onchange = (e) => {
+        ghost(e.target.value);
+        reveal();
+      };
+    page.switches.forEach((_, i) => {
+      $(`player-switch-${i}`).onchange = reveal;
     });
     document.addEventListener("keydown", (e) => {
       if (e.target.tagName === "SELECT") return;
@@ -334,7 +346,7 @@
     stale = false;
     if (page.ghost) ghost($("player-ghost").value);
     else look(page.camera.eye, page.camera.target);
-    page.switches.forEach((_, i) => $(`player-switch-${i}`).onchange());
+    reveal();
     draw();
   };
   let before = null;
