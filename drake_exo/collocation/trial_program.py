@@ -333,7 +333,7 @@ class TrialProgram:
             return
         variables, factors, times = self.grid.alternating()
         root = self.coordinates.root_columns
-        variables = np.concatenate(list(variables[:, root]))
+        variables = variables[:, root].reshape(-1, variables.shape[2])
         factors, times = (np.repeat(x, len(root), 0) for x in (factors, times))
         factors = factors / ALTERNATING
         self.damped = variables, factors, times

@@ -90,6 +90,18 @@ def test_a_foot_on_the_ground_may_alternate(human):
     assert len(variables) == len(times) == 0
 
 
+def test_nothing_is_damped_where_nodes_determine_what_is_between(human):
+    program = BatchedProgram()
+    grid, bodies = "pseudospectral", ["pelvis"]
+    movement = TrialProgram(
+        program, "step", human.tree, 0.5, 20.0, grid, bodies=bodies
+    )
+    assert movement.may_alternate
+    before = program.counts
+    movement.damp()
+    assert len(movement.damped[0]) == 0 and program.counts == before
+
+
 def standing(human, law, transcription):
     """Joints held still; the foot goes where the contact carries it."""
     program = BatchedProgram()
