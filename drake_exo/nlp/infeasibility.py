@@ -4,7 +4,8 @@ Before a solve, `check` tells the faults that waste one. After one that found
 no feasible point, `relax` tells which bounds make the program infeasible, and
 by how much: the bounds of trajectories (torque limits, given end states)
 become springs, and what they would have to give way by names them. Everything
-else, such as dynamics and contact, keeps holding.
+else, such as dynamics and contact, keeps holding. Soft springs give way to
+costs as well: only the stiffest tell that there is no solution.
 """
 
 from collections.abc import Callable
@@ -114,7 +115,7 @@ def relax(
     problem: SparseProgram,
     y: np.ndarray,
     attempt: Callable[["ElasticProgram", np.ndarray], np.ndarray | None],
-) -> tuple[np.ndarray, list[Excess] | None]:
+) -> tuple[np.ndarray, list[Excess], bool]:
     """Look for the bounds that are in each other's way.
 
     Args:
@@ -123,11 +124,13 @@ def relax(
         attempt: solves an elastic program from a start; None if it fails.
 
     Returns:
-        A better start, and the bounds that gave way there: none if the
-        problem is feasible, None if nothing was found out.
+        A start, a better one if something is certain; the bounds that gave
+        way to the stiffest springs that could be solved; and whether those
+        were the stiffest of all, so that the problem is infeasible.
     """
+    hint = []
     for kinds, stiffnesses in _STAGES.items():
-        found, at = None, y
+        found, at = [], y
         for stiffness in stiffnesses:
             elastic = ElasticProgram(problem, kinds, stiffness)
             if not elastic.num_springs:
@@ -136,11 +139,11 @@ def relax(
             if solved is None:
                 break
             at, found = solved, elastic.binding(solved)
-            if not found:
-                break
-        if found is not None:
-            return np.clip(at, problem.y_lower, problem.y_upper), found
-    return y, None
+            if not found or stiffness == stiffnesses[-1]:
+                at = np.clip(at, problem.y_lower, problem.y_upper)
+                return at, found, bool(found)
+        hint = hint or found
+    return y, hint, False
 
 
 class ElasticProgram:

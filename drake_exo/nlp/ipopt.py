@@ -134,7 +134,8 @@ class Solution:
         objective: at the returned point.
         infeasibility: largest scaled constraint violation there.
         worst_constraints: (name, violation), largest first.
-        binding: bounds that exclude each other, of an infeasible problem.
+        binding: bounds that exclude each other, of an infeasible problem;
+            that may do so, of another that could not be solved.
         active_bounds: names of named parameters that sit at a bound.
         num_variables, num_constraints, jacobian_nonzeros: of the problem
             that the solver saw.
@@ -206,7 +207,11 @@ class Solution:
             return "all constraints hold"
         if self.binding:
             return (
-                "Bounds that are in the way, and the least change found: "
+                (
+                    "Bounds that are in the way, and the least change found: "
+                    if self.status == _INFEASIBLE
+                    else "Bounds that may be in the way: "
+                )
                 + "; ".join(map(str, self.binding))
                 + "."
             )
@@ -251,7 +256,7 @@ def solve(
     problem.seconds.clear()
     problem.evaluations.clear()
     y0 = problem.restrict(guess)
-    watches, binding, hopeful = [], None, True
+    watches, binding, infeasible = [], None, False
     exact = problem.exact_hessian
     stop = threading.Event()
 
@@ -260,22 +265,16 @@ def solve(
 
     with _stop_on_interrupt(stop):
         for strategy in options.strategies:
-            if strategy == "exact" and not hopeful:
-                continue  # dear, and nothing says that it would help
             problem.use_exact_hessian(exact or strategy == "exact")
             watch = _Watch(problem, strategy, start, on_iterate, stop)
             watches.append(watch)
             y, objective, status = _attempt(problem, y0, options, watch)
-            if status in _ACCEPTED or stop.is_set():
+            if status in _ACCEPTED or infeasible or stop.is_set():
                 break
-            if binding:
-                break
-            hopeful = watch.found_feasible
             if binding is None and not watch.found_feasible:
                 # Either bounds are in each other's way, or the point where
                 # none has to give way is a better start.
-                y0, binding = relax(problem, y0, relaxed)
-            hopeful = hopeful or binding == []
+                y0, binding, infeasible = relax(problem, y0, relaxed)
     best = min(watches, key=lambda w: w.best_key).best
     if status not in _ACCEPTED and best is not None:
         y = best
@@ -287,9 +286,10 @@ def solve(
         solution.status = STOPPED_BY_USER
     elif watch.gave_up and status == _STOPPED:
         solution.status = "no progress"
-    if binding and not solution.success:
-        solution.status = _INFEASIBLE
-        solution.binding = binding
+    if not solution.success:
+        solution.binding = binding or []
+        if infeasible:
+            solution.status = _INFEASIBLE
     return solution
 
 

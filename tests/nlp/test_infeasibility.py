@@ -86,10 +86,10 @@ def test_limits_that_suffice_are_not_blamed():
     def attempt(elastic, y):
         return problem.restrict(solution.raw_values())
 
-    y, binding = infeasibility.relax(
+    y, binding, infeasible = infeasibility.relax(
         problem, np.zeros(problem.num_unknowns), attempt
     )
-    assert binding == []
+    assert binding == [] and not infeasible
     np.testing.assert_allclose(
         problem.expand(y)[program.indices(push)], 0.98, atol=1e-6
     )
@@ -99,8 +99,34 @@ def test_nothing_is_said_where_no_elastic_program_could_be_solved():
     program, _, _ = pushed_cart(distance=10.0)
     problem = SparseProgram(program)
     y = np.zeros(problem.num_unknowns)
-    same, binding = infeasibility.relax(problem, y, lambda elastic, at: None)
-    assert binding is None and same is y
+    same, *found = infeasibility.relax(problem, y, lambda elastic, at: None)
+    assert found == [[], False] and same is y
+
+
+def test_what_gives_way_to_soft_springs_alone_is_no_verdict(monkeypatch):
+    """It is a hint, of a problem that nothing solved."""
+    program, *_ = pushed_cart(distance=4.9)
+    problem = SparseProgram(program)
+    y = np.zeros(problem.num_unknowns)
+    soft = np.full(problem.num_unknowns, 1.2)
+    answers = iter([soft, None])
+    same, (found,), infeasible = infeasibility.relax(
+        problem, y, lambda elastic, at: next(answers)
+    )
+    assert same is y and found.name.startswith("push at ") and not infeasible
+
+    tried = []
+
+    def attempt(program, y, options, watch):
+        tried.append(watch.strategy)
+        return y, np.inf, -2
+
+    monkeypatch.setattr(ipopt, "relax", lambda *_: (y, [found], infeasible))
+    monkeypatch.setattr(ipopt, "_attempt", attempt)
+    solution = ipopt.solve(problem, np.zeros(2 * PUSHES + 1))
+    assert tried == ["adaptive", "monotone", "exact", "patient"]
+    assert solution.status == "restoration failed"
+    assert "may be in the way" in solution.explain()
 
 
 def _straight_cart():
