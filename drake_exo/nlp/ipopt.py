@@ -23,7 +23,7 @@ from drake_exo.nlp.program import (
     variable_bounds,
     variable_scaling,
 )
-from drake_exo.nlp.sparse import SparseProgram
+from drake_exo.nlp.sparse import SparseProgram, violation
 
 ipyopt = load_ipyopt()
 
@@ -99,7 +99,8 @@ class Iterate:
     """What progress and checkpoints see of one iteration.
 
     Attributes:
-        x: program variables, or None before the first evaluation.
+        x: program variables, or None before the first evaluation; while IPOPT
+            restores feasibility, those that it began from.
     """
 
     strategy: str
@@ -320,10 +321,12 @@ class _Watch:
 
     def __call__(self, mode, iteration, objective, inf_pr, inf_du, *_):
         self.iterations = iteration
-        if self.current is not None and np.isfinite(objective):
+        # Where IPOPT restores feasibility (mode 1), what it tells is of points
+        # that are not seen here; and its violation counts slacks as well.
+        if mode == 0 and self.current is not None and np.isfinite(objective):
+            off = violation(self.problem, self.current)
             # Feasible iterates compare by cost, others by violation.
-            feasible = inf_pr <= _FEASIBLE
-            key = (0.0, objective) if feasible else (inf_pr, objective)
+            key = (off if off > _FEASIBLE else 0.0, objective)
             if key < self.best_key:
                 self.best_key, self.best = key, self.current
         if self.on_iterate is not None:
@@ -494,8 +497,7 @@ def _finite(bounds):
 
 
 def _solution(problem, y, objective, status, watch, iterations, elapsed):
-    g = problem.constraints(y)
-    violation = np.maximum(problem.g_lower - g, g - problem.g_upper)
+    off = violation(problem, y)
     seconds = {"solve": elapsed, **problem.seconds}
     seconds["linear_algebra_and_ipopt"] = elapsed - sum(
         problem.seconds.values()
@@ -505,7 +507,7 @@ def _solution(problem, y, objective, status, watch, iterations, elapsed):
         status=_STATUS.get(status, f"unknown status {status}"),
         iterations=iterations,
         objective=float(objective),
-        infeasibility=float(max(violation.max(initial=0.0), 0.0)),
+        infeasibility=float(off),
         worst_constraints=problem.worst_constraints(y),
         num_variables=problem.num_unknowns,
         num_constraints=problem.num_constraints,

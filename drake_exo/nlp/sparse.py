@@ -350,20 +350,12 @@ class SparseProgram:
                 weights[id(b)] = factor * r
         if not self.exact_hessian:
             enough = _FAR if self._is_near else _NEARLY_FEASIBLE
-            self._is_near = self._violation(y) <= enough
+            self._is_near = violation(self, y) <= enough
             if not self._is_near:
                 return weights
         for b, place in self.rows.numbered_blocks():
             weights[id(b)] = multipliers[place].reshape(b.batch.lower.shape)
         return weights
-
-    def _violation(self, y) -> float:
-        """Largest constraint violation."""
-        g = self.constraints(y)
-        return max(
-            np.max(self.g_lower - g, initial=0.0),
-            np.max(g - self.g_upper, initial=0.0),
-        )
 
     # -- reports ----------------------------------------------------------
 
@@ -377,6 +369,15 @@ class SparseProgram:
             for i in order
             if violation[i] > 0.0
         ]
+
+
+def violation(problem: SparseProgram, y: np.ndarray) -> float:
+    """Largest violation of a constraint, also of an ElasticProgram."""
+    g = problem.constraints(y)
+    return max(
+        np.max(problem.g_lower - g, initial=0.0),
+        np.max(g - problem.g_upper, initial=0.0),
+    )
 
 
 class ConstraintRows:

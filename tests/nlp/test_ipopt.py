@@ -204,6 +204,24 @@ def test_a_program_in_other_units_is_the_same_program():
     np.testing.assert_allclose(upper * scale, [np.inf, 4.0, 6.0])
 
 
+def test_an_iterate_is_judged_by_its_own_constraints():
+    """Not by IPOPT's slacks, nor by where IPOPT restores feasibility."""
+    program, _ = valleys(radius=3.0)
+    watch = ipopt._Watch(
+        SparseProgram(program), "adaptive", 0.0, None, threading.Event()
+    )
+    outside, inside = np.full(6, 2.0), np.full(6, 0.5)
+    watch.accepted(outside)
+    watch(0, 0, 7.0, 0.0, 1.0)
+    assert watch.best_key == (5.0, 7.0)
+    watch(1, 1, 6.0, 0.0, 1.0)
+    assert watch.best_key == (5.0, 7.0)
+    watch.accepted(inside)
+    watch(0, 2, 8.0, 9.0, 1.0)
+    assert watch.found_feasible
+    np.testing.assert_array_equal(watch.best, inside)
+
+
 def test_an_attempt_that_leads_nowhere_is_given_up():
     """Forty iterations in which the error does not fall by a tenth."""
     watch = ipopt._Watch(None, "adaptive", 0.0, None, None)
