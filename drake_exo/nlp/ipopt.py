@@ -283,14 +283,16 @@ def solve(
     total = sum(w.iterations for w in watches)
     elapsed = time.perf_counter() - start
     solution = _solution(problem, y, objective, status, watch, total, elapsed)
-    if not solution.success and stop.is_set():
+    if solution.success:
+        return solution
+    if stop.is_set():
         solution.status = STOPPED_BY_USER
+        return solution
+    solution.binding = binding or []
+    if infeasible:
+        solution.status = _INFEASIBLE
     elif watch.gave_up and status == _STOPPED:
         solution.status = "no progress"
-    if not solution.success:
-        solution.binding = binding or []
-        if infeasible:
-            solution.status = _INFEASIBLE
     return solution
 
 

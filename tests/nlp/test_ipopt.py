@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pydrake.math import cos
 from pydrake.solvers import IpoptSolver, MathematicalProgram
-from small_programs import Circle, valleys
+from small_programs import Circle, pushed_cart, valleys
 
 from drake_exo.errors import InputError
 from drake_exo.nlp import ipopt, load_ipyopt
@@ -137,6 +137,24 @@ def test_interruption_keeps_the_best_iterate():
     assert solution.objective <= min(feasible) + 1e-12
     # The handler of before is back.
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize(("last", "nth"), [("elastic", 4), ("monotone", 1)])
+def test_interruption_is_told_of_an_infeasible_problem_too(last, nth):
+    """Among the stiffer springs, and after all of them."""
+    program, *_ = pushed_cart(distance=10.0)
+    seen = []
+
+    def interrupt(iterate):
+        seen.append(iterate.strategy)
+        if iterate.strategy == last and seen.count(last) == nth:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    found = ipopt.solve(
+        SparseProgram(program), np.zeros(11), on_iterate=interrupt
+    )
+    assert seen.count(last) >= nth
+    assert found.was_stopped and found.binding == []
 
 
 def test_a_second_interruption_is_not_withheld():
