@@ -216,16 +216,17 @@ class Solution:
                 + "; ".join(map(str, self.binding))
                 + "."
             )
-        if not self.worst_constraints:
-            return (
-                "All constraints hold: the point is feasible but not yet "
-                "optimal; allow more iterations."
-            )
         worst = "; ".join(
-            f"{name} off by {violation:.3g}"
-            for name, violation in self.worst_constraints
+            f"{name} off by {off:.3g}"
+            for name, off in self.worst_constraints
+            if off > _FEASIBLE
         )
-        return f"Worst constraints (scaled): {worst}."
+        if worst:
+            return f"Worst constraints (scaled): {worst}."
+        return (
+            "All constraints hold: the point is feasible but not yet optimal; "
+            "allow more iterations."
+        )
 
 
 def solve(

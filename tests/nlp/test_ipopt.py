@@ -81,6 +81,14 @@ def test_a_failed_solution_is_sealed_and_names_constraints():
     assert np.isfinite(solution.unseal().values(program.indices(x))).all()
 
 
+def test_constraints_off_by_rounding_are_not_blamed():
+    off = [("step[3] row 0", 3e-4), ("end row 1", 4e-16)]
+    failed = ipopt.Solution(False, "no progress", 3, 0.0, 3e-4, off, 1, 1, 1)
+    assert "step[3] row 0 off by 0.0003." in failed.explain()
+    failed.worst_constraints = off[1:]
+    assert "allow more iterations" in failed.explain()
+
+
 def test_a_second_strategy_is_tried_when_the_first_fails():
     program, _ = valleys()
     used = []
