@@ -267,10 +267,13 @@ def solve(
 
     with _stop_on_interrupt(stop):
         for strategy in options.strategies:
-            problem.use_exact_hessian(exact or strategy == "exact")
             watch = _Watch(problem, strategy, start, on_iterate, stop)
             watches.append(watch)
-            y, objective, status = _attempt(problem, y0, options, watch)
+            problem.use_exact_hessian(exact or strategy == "exact")
+            try:
+                y, objective, status = _attempt(problem, y0, options, watch)
+            finally:
+                problem.use_exact_hessian(exact)
             if status in _ACCEPTED or infeasible or stop.is_set():
                 break
             if binding is None and not watch.found_feasible:

@@ -213,7 +213,8 @@ def _jacobian(problem: SparseProgram, y: np.ndarray) -> sp.csr_array:
 def _hessian(problem: SparseProgram, y: np.ndarray) -> sp.csr_array:
     """Gauss-Newton Hessian, both triangles."""
     rows, columns = problem.hessian_structure
-    values = problem.hessian(y, np.zeros(problem.num_constraints), 1.0)
     ny = problem.num_unknowns
-    lower = sp.csr_array((values, (rows, columns)), shape=(ny, ny))
+    lower = sp.csr_array(
+        (problem.gauss_newton(y), (rows, columns)), shape=(ny, ny)
+    )
     return (lower + sp.tril(lower, -1).T).tocsr()

@@ -329,6 +329,17 @@ class SparseProgram:
         exact_hessian the curvature of all of them is added from the start.
         """
         start = time.perf_counter()
+        weights = self._curvature_weights(y, multipliers, factor)
+        H = self._curved(y, factor, weights)
+        self.seconds["hessian"] += time.perf_counter() - start
+        self.evaluations["hessian"] += 1
+        return H
+
+    def gauss_newton(self, y: np.ndarray) -> np.ndarray:
+        """The cost's part of `hessian`, without what exact_hessian adds."""
+        return self._curved(y, 1.0, self._cost_weights(y, 1.0, exact=False))
+
+    def _curved(self, y, factor, weights):
         jacobians = dict(
             zip(
                 map(id, self.residual_blocks),
@@ -336,18 +347,20 @@ class SparseProgram:
                 strict=True,
             )
         )
-        weights = self._curvature_weights(y, multipliers, factor)
-        H = self._hessian.values(factor, self._expanded(y), jacobians, weights)
-        self.seconds["hessian"] += time.perf_counter() - start
-        self.evaluations["hessian"] += 1
-        return H
+        return self._hessian.values(
+            factor, self._expanded(y), jacobians, weights
+        )
 
-    def _curvature_weights(self, y, multipliers, factor):
+    def _cost_weights(self, y, factor, exact):
         weights = {id(b): np.full((1, 1), factor) for b in self._costs}
         terms = self._residual_terms(y)
         for b, r in zip(self.residual_blocks, terms, strict=True):
-            if self.exact_hessian or hasattr(b.batch.kernel, "curvature"):
+            if exact or hasattr(b.batch.kernel, "curvature"):
                 weights[id(b)] = factor * r
+        return weights
+
+    def _curvature_weights(self, y, multipliers, factor):
+        weights = self._cost_weights(y, factor, self.exact_hessian)
         if not self.exact_hessian:
             enough = _FAR if self._is_near else _NEARLY_FEASIBLE
             self._is_near = violation(self, y) <= enough

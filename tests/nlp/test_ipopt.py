@@ -103,6 +103,16 @@ def test_a_second_strategy_is_tried_when_the_first_fails():
     assert "monotone" in used
 
 
+def test_a_strategy_leaves_the_program_as_it_was():
+    program, _ = valleys(radius=1.2)
+    problem = SparseProgram(program)
+    before = problem.hessian_structure
+    exact = SolverOptions(strategies=("exact",))
+    assert ipopt.solve(problem, np.zeros(6), exact).success
+    assert not problem.exact_hessian
+    np.testing.assert_array_equal(problem.hessian_structure, before)
+
+
 def test_the_best_of_all_attempts_is_kept():
     """Not the start of the one that was stopped as it began."""
     program, _ = valleys()

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from small_programs import valleys
 
 from drake_exo.nlp import ipopt
 from drake_exo.nlp.ipopt import SolverOptions
@@ -127,6 +128,18 @@ def test_curvature_left_out_is_that_of_a_problem_without_it(solved):
     without = response(stiffer, y, np.arange(N), without=more)
     np.testing.assert_allclose(
         without.by_gradient, found.by_gradient, atol=1e-9 * scale
+    )
+
+
+def test_gauss_newton_s_response_is_that_of_an_exact_program_too():
+    program, _ = valleys(radius=1.2)
+    y = ipopt.solve(SparseProgram(program), np.zeros(6)).raw_values()
+    found, exact = (
+        response(SparseProgram(program, exact_hessian=e), y, np.arange(6))
+        for e in (False, True)
+    )
+    np.testing.assert_allclose(
+        exact.by_gradient, found.by_gradient, rtol=1e-9, atol=1e-15
     )
 
 
