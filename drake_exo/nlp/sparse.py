@@ -149,7 +149,8 @@ class SparseProgram:
         kernel = block.batch.kernel
         if self.exact_hessian:
             return not hasattr(kernel, "A")
-        return hasattr(kernel, "curvature")
+        # What a user adds is not least squares: it bends as it likes.
+        return hasattr(kernel, "curvature") or isinstance(kernel, BindingKernel)
 
     def relaxable(self, kinds) -> tuple[np.ndarray, np.ndarray]:
         """Unknowns, and rows of g, that are bounded labelled variables.

@@ -49,6 +49,17 @@ def test_options_of_ipopt_that_the_program_holds_count():
             ipopt.solve(SparseProgram(program), np.zeros(6))
 
 
+def test_a_constraint_that_a_user_adds_has_curvature():
+    """The point of a disc that is nearest to one outside."""
+    program = BatchedProgram()
+    x = program.prog.NewContinuousVariables(2, "x")
+    program.prog.AddQuadraticErrorCost(np.eye(2), [1.5, 2.0], x)
+    program.prog.AddConstraint(lambda z: [z @ z], [-np.inf], [1.0], x)
+    found = ipopt.solve(SparseProgram(program), np.array([0.5, -0.2]))
+    assert found.strategy == "adaptive" and found.iterations < 20
+    np.testing.assert_allclose(found.raw_values(), [0.6, 0.8], atol=1e-5)
+
+
 def test_drakes_own_solver_reaches_the_same_optimum():
     program, x = valleys(radius=1.2)
     ours = ipopt.solve(
