@@ -508,11 +508,11 @@ class ConstraintRows:
 
     def row_of(self, variables: np.ndarray) -> np.ndarray:
         """Row that bounds each variable; -1 where none does."""
-        order = np.argsort(self._bounded)
-        place = np.searchsorted(self._bounded, variables, sorter=order)
-        place = order[np.minimum(place, len(order) - 1)]
-        hit = self._bounded[place] == variables
-        return np.where(hit, self._first_bounded + place, -1)
+        rows = np.full(len(self._unknowns.offset), -1)
+        rows[self._bounded] = self._first_bounded + np.arange(
+            len(self._bounded)
+        )
+        return rows[variables]
 
 
 class Block:

@@ -333,7 +333,10 @@ def test_every_row_has_its_name():
 
 
 def test_the_row_that_bounds_a_variable():
-    """-1 for one without, also beyond the last."""
+    """-1 for one without, also beyond the last, or where there is none."""
+    program, *_ = _program()
+    rows = SparseProgram(program).rows
+    assert (rows.row_of(np.arange(4)) == -1).all()
     program = BatchedProgram()
     prog = program.prog
     x = prog.NewContinuousVariables(5, "x")
