@@ -66,6 +66,7 @@ class SparseProgram:
         self.rows = ConstraintRows(program, self.unknowns)
         self.g_lower, self.g_upper = self.rows.lower, self.rows.upper
         self.num_constraints = len(self.g_lower)
+        self._moved = np.zeros(self.rows.linear.shape[0])  # by `move_fixed`
         self._collect_costs()
         self._lay_out_jacobian()
         self._lay_out_hessian()
@@ -91,6 +92,7 @@ class SparseProgram:
     def move_fixed(self, variable: int, step: float) -> None:
         """Move a fixed program variable; y stays."""
         self.unknowns.offset[variable] += step
+        self._moved += step * self.rows.slope(variable)
         self._cache.clear()
 
     # -- what is in the problem -------------------------------------------
@@ -268,7 +270,7 @@ class SparseProgram:
 
         def compute():
             x = self._expanded(y)
-            parts = [self.rows.linear @ y]
+            parts = [self.rows.linear @ y + self._moved]
             parts += [b.values(x).ravel() for b in self.rows.blocks]
             return np.concatenate(parts)
 
@@ -303,6 +305,7 @@ class SparseProgram:
         x[variable] += step
         slope = self.unknowns.matrix.T @ (self._Q @ x)
         value = np.zeros(self.num_constraints)
+        value[: len(self._moved)] = step * self.rows.slope(variable)
 
         def touched(blocks):
             return [b for b in blocks if (b.batch.indices == variable).any()]
@@ -452,6 +455,7 @@ class ConstraintRows:
             *names,
             *(f"bounds of {program.variable_name(int(i))}" for i in bounded),
         ]
+        self._A = A.tocsc()  # by program variables
         self.linear = (A @ unknowns.matrix).tocsr()
         shift = A @ unknowns.offset
         lower = np.r_[lower, x_lower[has_bound] / unit] - shift
@@ -496,6 +500,10 @@ class ConstraintRows:
                 node, out = divmod(row - rows.start, block.batch.num_outputs)
                 return f"{block.batch.name}[{node}] row {out}"
         raise IndexError("no such constraint")
+
+    def slope(self, variable: int) -> np.ndarray:
+        """Of each linear row (nl,) by a program variable."""
+        return self._A[:, [variable]].toarray()[:, 0]
 
     def bounding(self, variables) -> np.ndarray:
         """Rows that bound one of some substituted variables."""

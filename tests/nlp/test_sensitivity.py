@@ -143,8 +143,8 @@ def test_gauss_newton_s_response_is_that_of_an_exact_program_too():
     )
 
 
-def _with_fixed(value):
-    """A residual and a constraint that a fixed variable enters."""
+def _with_fixed(value, linear=False):
+    """A residual and a constraint, or row, that a fixed variable enters."""
     program = BatchedProgram()
     prog = program.prog
     x, p = prog.NewContinuousVariables(2, "x"), prog.NewContinuousVariables(1)
@@ -153,9 +153,11 @@ def _with_fixed(value):
     program.add_residuals(
         "pull", AffineKernel([[1.0, 0.0, 0.7], [0.3, 1.0, 0.0]]), _row(x, p)
     )
-    program.add_constraints(
-        "tie", AffineKernel([[1.0, -2.0, -1.5]]), _row(x, p), 1.0, 1.0
-    )
+    tie = np.array([[1.0, -2.0, -1.5]])
+    if linear:
+        prog.AddLinearEqualityConstraint(tie, [1.0], _row(x, p)[0])
+    else:
+        program.add_constraints("tie", AffineKernel(tie), _row(x, p), 1.0, 1.0)
     return SparseProgram(program), program.indices(p)
 
 
@@ -163,15 +165,16 @@ def _row(x, p):
     return np.concatenate([x, p])[None]
 
 
-def test_the_optimal_cost_follows_a_fixed_variable():
+@pytest.mark.parametrize("linear", [False, True])
+def test_the_optimal_cost_follows_a_fixed_variable(linear):
     costs = []
     for value in (0.8 - 1e-4, 0.8 + 1e-4):
-        problem, _ = _with_fixed(value)
+        problem, _ = _with_fixed(value, linear)
         y = ipopt.solve(
             problem, np.zeros(3), SolverOptions(tolerance=1e-11)
         ).raw_values()
         costs.append(problem.objective(problem.restrict(y)))
-    problem, index = _with_fixed(0.8)
+    problem, index = _with_fixed(0.8, linear)
     x = ipopt.solve(
         problem, np.zeros(3), SolverOptions(tolerance=1e-11)
     ).raw_values()
@@ -181,17 +184,18 @@ def test_the_optimal_cost_follows_a_fixed_variable():
     assert optimum.cost_by_fixed(index)[0] == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.parametrize("linear", [False, True])
 @pytest.mark.parametrize("bordered", [False, True])
-def test_the_optimum_follows_a_fixed_variable(bordered):
+def test_the_optimum_follows_a_fixed_variable(bordered, linear):
     """Where it goes, against two other solves; linear, so to rounding."""
 
     def solved(value):
-        problem, _ = _with_fixed(value)
+        problem, _ = _with_fixed(value, linear)
         return ipopt.solve(
             problem, np.zeros(3), SolverOptions(tolerance=1e-11)
         ).raw_values()
 
-    problem, index = _with_fixed(0.8)
+    problem, index = _with_fixed(0.8, linear)
     x = solved(0.8)
     border = np.array([1]) if bordered else np.zeros(0, int)
     optimum = Optimum(problem, problem.restrict(x), border)
