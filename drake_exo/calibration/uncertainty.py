@@ -131,7 +131,7 @@ def uncertainty(
         (`reduce: false`): then given end states are no constraints.
     """
     problem = result.problem
-    free = [k for k, p in enumerate(problem.parameters) if p.free]
+    free = _free(problem)
     if not free or not problem.settings.solver.reduce:
         return None
     program = problem.compiled
@@ -203,7 +203,7 @@ def posterior(result: PhaseResult) -> Posterior:
     device that swings would seem to tell when its encoders were read.
     """
     problem = result.problem
-    free = [k for k, p in enumerate(problem.parameters) if p.free]
+    free = _free(problem)
     names = [problem.parameters[k].name for k in free]
     variables = problem.parameter_variables[free]
     if problem.error_variables is not None:
@@ -223,11 +223,19 @@ def posterior(result: PhaseResult) -> Posterior:
     return Posterior(tuple(names), x[index], covariance)
 
 
+def _free(problem: PhaseProblem) -> list[int]:
+    """Which parameters are unknowns: free, and not held in the program."""
+    unknowns = problem.compiled.unknowns
+    index = problem.program.indices(problem.parameter_variables)
+    held = unknowns.x_lower[index] == unknowns.x_upper[index]
+    return [
+        k for k, p in enumerate(problem.parameters) if p.free and not held[k]
+    ]
+
+
 def _border(problem: PhaseProblem) -> np.ndarray:
     """Unknowns that touch all nodes of a trial: parameters and errors."""
-    variables = problem.parameter_variables[
-        [p.free for p in problem.parameters]
-    ]
+    variables = problem.parameter_variables[_free(problem)]
     if problem.error_variables is not None:
         variables = np.r_[variables, problem.error_variables]
     index = problem.program.indices(variables)

@@ -125,6 +125,23 @@ def test_a_prior_pulls_nothing(coarse):
     assert np.abs(program.residual_gradient(y) - g).max() > 1e-3
 
 
+@pytest.mark.slow
+def test_a_parameter_that_the_program_holds_is_known(coarse):
+    made, result = coarse
+    held = InteractionCalibration(
+        made.model, made.trials, made.contact, result.problem.settings
+    )
+    name = "thigh.normal_stiffness"
+    variable = held.variables_of([name])
+    value = result.values[held.program.indices(variable)]
+    held.program.prog.AddBoundingBoxConstraint(value, value, variable)
+    found = held.result(result.solution)
+    for told in (posterior, uncertainty):
+        left = [n for n in told(result).names if n != name]
+        assert list(told(found).names) == left
+        assert name in told(result).names
+
+
 def test_noise_of_every_foot_counts():
     """Where two feet are tracked beside the coordinates."""
     times = np.linspace(0.0, 1.0, 21)
