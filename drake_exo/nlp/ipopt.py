@@ -73,8 +73,9 @@ class SolverOptions:
         strategies: the next is tried by itself when one fails: barrier
             strategies with the program's Hessian (adaptive is faster,
             monotone survives strong noise), then "exact", with the
-            constraints' curvature, which tight bounds may need, and at last
-            "patient": adaptive to the end, however long nothing improves.
+            constraints' curvature, which tight bounds may need, and at last,
+            if no bounds are known that may be in the way, "patient": adaptive
+            to the end, however long nothing improves.
             `near_solution` puts "near" before them, for starts that nearly are
             solutions: the barrier begins low, and bounds do not push away.
         pivot_order: MUMPS' ordering; 6 (QAMD) measured fastest on collocation
@@ -267,6 +268,8 @@ def solve(
 
     with _stop_on_interrupt(stop):
         for strategy in options.strategies:
+            if strategy == "patient" and binding:
+                continue  # long, where something is known already
             watch = _Watch(problem, strategy, start, on_iterate, stop)
             watches.append(watch)
             problem.use_exact_hessian(exact or strategy == "exact")
