@@ -527,6 +527,15 @@ class Calibration(_Solved):
             return []
         return clocks_of(self.result.problem.trials, self._known)
 
+    @cached_property
+    def _measured(self) -> list[Trial]:
+        """The trials as measured, encoders on the clocks that were found."""
+        found = self.clocks if self.success else []
+        return [
+            retimed(trial, [c for c in found if c.trial == trial.name])
+            for trial in self.result.problem.trials
+        ]
+
     @property
     def trials(self) -> list[Trial]:
         """The solution of each trial."""
@@ -562,12 +571,13 @@ class Calibration(_Solved):
         return uncertainty(self.result, f.cutoff_hz, f.order)
 
     def rmsd(self) -> list[dict]:
-        """Differences from what was measured, a dictionary for each trial."""
+        """Differences from what was measured, a dictionary for each trial.
+
+        Its encoders are read on the clock that was found.
+        """
         return [
             audit.rmsd(found, measured, self.phase != "foot-ground")
-            for found, measured in zip(
-                self.trials, self.result.problem.trials, strict=True
-            )
+            for found, measured in zip(self.trials, self._measured, strict=True)
         ]
 
     def audit(self) -> list[Audit]:
@@ -604,7 +614,7 @@ class Calibration(_Solved):
             if self.phase == "foot-ground"
             else figures.interaction_figure
         )
-        return draw({"model": self.trials}, self.result.problem.trials)
+        return draw({"model": self.trials}, self._measured)
 
     def summary(self, verdict: Verdict | None = None) -> dict:
         """What summary.json holds.
@@ -613,7 +623,9 @@ class Calibration(_Solved):
             verdict: that of `verdict` if None.
         """
         found = self.result.unsealed()
-        summary = phase_summary(self.phase, self.study.name, found)
+        summary = phase_summary(
+            self.phase, self.study.name, found, self._measured
+        )
         summary |= (verdict or self.verdict()).summary()
         summary["audit"] = [a.summary() for a in self._audits]
         found = self.clocks if self.success else []
@@ -648,7 +660,8 @@ class Calibration(_Solved):
         verdict = verdict or self.verdict()
         summary, mark = self.summary(verdict), verdict.mark
         study, trials = self.study, found.problem.trials
-        write_inputs(folder, study.model, trials)
+        # On the clocks that were found, as they are compared with.
+        write_inputs(folder, study.model, self._measured)
         write_contact(
             folder,
             self.contact if self.success else found.contact,
@@ -658,7 +671,7 @@ class Calibration(_Solved):
             write_trial(folder, trial, mark)
         text = rmsd_table(summary["rmsd"], summary["measured_sd"])
         write_text(folder / "rmsd.txt", text, mark)
-        figures.draw_figures(folder, found.trials, trials, mark=mark)
+        figures.draw_figures(folder, found.trials, self._measured, mark=mark)
         write_json(folder / "summary.json", summary)
         if self.success:
             forget(folder)

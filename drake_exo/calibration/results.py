@@ -413,9 +413,16 @@ def solve_summary(solution: Solution) -> dict:
     }
 
 
-def phase_summary(phase: str, subject: str, result: PhaseResult) -> dict:
-    """What summary.json holds of one program."""
-    trials = result.problem.trials
+def phase_summary(
+    phase: str, subject: str, result: PhaseResult, measured: Sequence[Trial]
+) -> dict:
+    """What summary.json holds of one program.
+
+    Args:
+        phase, subject: their names.
+        result: of the solve.
+        measured: its trials, on the clocks that were found.
+    """
     return {
         "phase": phase,
         "subject": subject,
@@ -435,9 +442,9 @@ def phase_summary(phase: str, subject: str, result: PhaseResult) -> dict:
         ],
         "rmsd": [
             rmsd(found, trial, loads=phase != "foot-ground")
-            for found, trial in zip(result.trials, trials, strict=True)
+            for found, trial in zip(result.trials, measured, strict=True)
         ],
-        "measured_sd": spread(trials),
+        "measured_sd": spread(result.problem.trials),
     }
 
 

@@ -517,7 +517,7 @@ def test_bands_on_disk_are_the_middle_and_the_width(tmp_path):
 
 
 def test_a_summary_holds_parameters_with_their_bounds(coarse):
-    summary = phase_summary("interaction", "me", coarse)
+    summary = phase_summary("interaction", "me", coarse, coarse.problem.trials)
     assert (summary["phase"], summary["subject"]) == ("interaction", "me")
     assert summary["success"] is True
     assert summary["iterations"] == coarse.solution.iterations
@@ -532,9 +532,8 @@ def test_a_summary_holds_parameters_with_their_bounds(coarse):
         value = coarse.solution.raw_values()[index[0]]
         assert own["value"] == pytest.approx(value, rel=1e-6)
     assert summary["rmsd"][0]["moments_nm"]
-    assert not phase_summary("foot-ground", "me", coarse)["rmsd"][0][
-        "moments_nm"
-    ]
+    alone = phase_summary("foot-ground", "me", coarse, coarse.problem.trials)
+    assert not alone["rmsd"][0]["moments_nm"]
 
 
 def test_intervals_are_two_sigma_with_the_pull():

@@ -5,7 +5,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from undrawn import undrawn
 
+from drake_exo.calibration.audit import rmsd
 from drake_exo.calibration.clocks import (
     Clock,
     Timing,
@@ -15,9 +17,16 @@ from drake_exo.calibration.clocks import (
     retimed,
 )
 from drake_exo.calibration.error_model import NO_ERRORS, ErrorModel, ErrorSizes
+from drake_exo.calibration.results import (
+    Origin,
+    read_calibration,
+    read_trial,
+)
+from drake_exo.calibration.settings import Solver
 from drake_exo.calibration.uncertainty import QUANTILE_95
 from drake_exo.contact.parameters import Posterior
 from drake_exo.contact.reduction import SoleLaw, SoleSphere
+from drake_exo.files.output import Verdict
 from drake_exo.measurement.trial import CuffForce
 from drake_exo.report.gathering import clocks_table
 from drake_exo.study import (
@@ -222,6 +231,33 @@ def test_what_is_known_of_others_comes_beside():
     part = both.part(["c", "a"])
     assert part.names == ("c", "a")
     np.testing.assert_array_equal(part.covariance, np.diag([16.0, 4.0]))
+
+
+def test_a_calibration_is_compared_on_the_clocks_that_it_found(
+    in_device, tmp_path
+):
+    """In its summary, its tables and what is written as measured."""
+    shown = recorded(late(in_device.trials[0], encoders=0.03))
+    sizes = replace(NO_ERRORS, encoder_clock_s=0.03)
+    settings = in_device.settings(errors=sizes, solver=Solver(10.0))
+    study = Study(in_device.model, [shown], interaction=settings)
+    found = calibrate_interaction(study, [shown], in_device.contact)
+    vars(found)["_audits"] = ()  # it need not simulate
+    with undrawn():
+        summary = found.write(tmp_path)
+    (off,), (raw,) = found.rmsd(), [rmsd(found.trials[0], shown)]
+    assert summary["rmsd"] == [off]
+    for joint in ("exo_knee", "exo_hip"):
+        own, other = (x["angles_deg"][joint] for x in (off, raw))
+        assert other > 1.0 > 3.0 * own
+    assert off["angles_deg"]["knee"] == raw["angles_deg"]["knee"]
+    measured = read_trial(tmp_path, shown.name, "measured")
+    (clock,) = found.clocks
+    assert measured.provenance["delays_s"]["encoders"] == clock.lag_s
+    np.testing.assert_allclose(measured.q, retimed(shown, [clock]).q)
+    # What it was made of stays what was recorded.
+    own = read_calibration(tmp_path).origin
+    assert own.data == Origin.of("", study.model, [shown], Verdict(())).data
 
 
 @pytest.fixture(scope="module")
