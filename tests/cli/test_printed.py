@@ -121,6 +121,30 @@ def test_crossvalidation_goes_over_all_unless_it_is_stopped(left_out, tmp_path):
     assert code == 1 and len(summary["folds"]) == 3
 
 
+def test_a_fold_reads_both_on_the_clock_that_calibrated_cuffs_tell(
+    monkeypatch,
+):
+    solved = SimpleNamespace(success=True, contact="calibrated")
+    for name in ("calibrate_foot_ground", "calibrate_interaction"):
+        monkeypatch.setattr(crossvalidate, name, lambda *_: solved)
+    monkeypatch.setattr(crossvalidate, "uncalibrated", lambda *_: "nominal")
+
+    def predict(study, trial, contact):
+        late = contact == "calibrated"
+        return SimpleNamespace(
+            success=True,
+            timed=lambda t: SimpleNamespace(name=t.name, lag=t.lag or 5 * late),
+            rmsd=lambda t: (contact, t.name, t.lag),
+        )
+
+    monkeypatch.setattr(crossvalidate, "predict", predict)
+    trials = [SimpleNamespace(name=n, lag=0) for n in "ab"]
+    study = SimpleNamespace(model=None, trials=lambda use: trials)
+    row = crossvalidate.fold(study, "b")
+    assert row["rmsd"] == ("calibrated", "b", 5)
+    assert row["rmsd_uncalibrated"] == ("nominal", "b", 5)
+
+
 def test_the_demo_times_each_trial_once(monkeypatch):
     """Half of them here, the others beside."""
     trials = list("abcdefg")
