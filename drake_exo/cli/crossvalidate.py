@@ -51,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
         )
     check_is_measured(trials)
     told = [t.name for t in trials if has_encoders(t)]
+    with_mats = Counter(cuff for t in trials for cuff in t.cuffs)
     # Without it nothing could be calibrated.
     trials = tuple(t for t in trials if [t.name] != told)
     if not any(t.cuffs for t in trials):
@@ -60,8 +61,7 @@ def run(args: argparse.Namespace) -> int:
             "for two"
         )
     plausible = study.gate("calibration", args.accept)
-    with_mats = Counter(cuff for t in trials for cuff in t.cuffs)
-    alone = [cuff for cuff, count in with_mats.items() if count == 1]
+    alone = [c for t in trials for c in t.cuffs if with_mats[c] == 1]
     folds: list[dict] = []
     with prepare_output_folder(args.out, args.force, reads=study.reads) as out:
         for trial in trials:

@@ -103,6 +103,11 @@ def test_the_only_trial_with_encoders_is_not_left_out(
     assert code == 0
     assert [f["trial"] for f in summary["folds"]] == ["b", "c"]
     assert "a alone has encoders, and is never left" in capsys.readouterr().out
+    assert "mats of thigh are in one trial alone" in summary["sentence"]
+    left_out.trials[0].cuffs += ["thigh", "shank"]
+    _, summary = left_out(tmp_path / "told")
+    # That trial tells the thigh's force always; of its shank nothing is asked.
+    assert "alone" not in summary["sentence"]
     for trial in left_out.trials[1:]:
         trial.cuffs = []
     with pytest.raises(InputError, match="no trial that can be left out has"):
