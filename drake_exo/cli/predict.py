@@ -226,7 +226,7 @@ def write_predictions(
             break
     # Not before: what a problem refuses leaves no folder behind.
     write_inputs(out, study.model, trials)
-    write_contact(out, contact)
+    write_contact(out, contact.scaled(scale_interaction))
     verdict = Verdict(tuple(checks), tuple(accepted))
     summary = {
         "inputs": of,

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from undrawn import undrawn
 
-from drake_exo.calibration.results import write_contact
+from drake_exo.calibration.results import read_contact, write_contact
 from drake_exo.calibration.solving import read_checkpoint
 from drake_exo.cli import main
 from drake_exo.cli.predict import write_predictions
-from drake_exo.contact.parameters import nominal_contact
+from drake_exo.contact.parameters import Posterior, nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.output import prepare_output_folder
 from drake_exo.study import Prediction, Study
@@ -156,6 +156,29 @@ def test_what_a_prediction_refuses_leaves_no_folder(tmp_path):
     ):
         write_predictions(study, ground, folder)
     assert not out.exists()
+
+
+def test_the_contact_beside_scaled_predictions_is_the_scaled_one(
+    tmp_path, monkeypatch
+):
+    """It is what forces and an export to OpenSim belong to."""
+    made = synthetic.rises_in_device(1, nodes_per_second=20)
+    known = replace(
+        made.contact,
+        posterior=Posterior(
+            ("thigh.normal_stiffness",), np.array([7e3]), np.array([[1e4]])
+        ),
+    )
+
+    def stopped(*given, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("drake_exo.cli.predict.predict", stopped)
+    study = Study(made.model, made.trials)
+    write_predictions(study, known, tmp_path, scale_interaction=1.4)
+    found = read_contact(tmp_path, accept=["provenance"])
+    assert found == known.scaled(1.4)
+    assert found.values() != known.values()
 
 
 @pytest.mark.slow
