@@ -39,6 +39,7 @@ from drake_exo.files.output import (
     write_json,
     write_text,
 )
+from drake_exo.measurement.trial import Trial
 from drake_exo.nlp.ipopt import STOPPED_BY_USER
 from drake_exo.report.figures import draw_figures
 from drake_exo.report.gathering import (
@@ -184,6 +185,7 @@ def write_predictions(
     found: list[Prediction] = []
     baseline: list[Prediction | None] = []
     checks, audits, stopped = list(checks), [], False
+    refused: InputError | None = None
     for trial in trials:
         folder = out / f"unfinished_{trial.name}"
         folder.mkdir(exist_ok=True)
@@ -212,6 +214,14 @@ def write_predictions(
             stopped = True
             checks.append(Check(SOLVED, False, where=trial.name))
             break
+        except InputError as error:
+            if not found:
+                raise  # what a problem refuses leaves no folder behind
+            # As above: hours of work come before it.
+            refused = error
+            said = str(error)
+            checks.append(Check(SOLVED, False, where=trial.name, sentence=said))
+            break
         finally:
             if not any(folder.iterdir()):
                 folder.rmdir()
@@ -224,7 +234,8 @@ def write_predictions(
         checks += phase_checks(prediction.result, audited, prediction.clocks)
         if stopped:
             break
-    # Not before: what a problem refuses leaves no folder behind.
+    if refused is not None:
+        trials = trials[: len(found)]
     write_inputs(out, study.model, trials)
     write_contact(out, contact.scaled(scale_interaction))
     verdict = Verdict(tuple(checks), tuple(accepted))
@@ -232,7 +243,7 @@ def write_predictions(
         "inputs": of,
         "scale_interaction": scale_interaction,
         "controller": controller_name,
-        **_summary(study, found, trials),
+        **_summary(study, found, trials, refused),
         **verdict.summary(),
     }
     good = [
@@ -258,6 +269,9 @@ def write_predictions(
         print(clocks_table(summary["clocks"]))
     write_json(out / "summary.json", summary)
     print(verdict.text())
+    if refused is not None:
+        print(f"results in {out}")
+        raise refused
     return STOPPED_CODE if stopped else verdict.exit_code
 
 
@@ -305,10 +319,17 @@ def load_controller(name: str | None) -> System | None:
     return found
 
 
-def _summary(study: Study, found: list[Prediction], trials) -> dict:
+def _summary(
+    study: Study,
+    found: list[Prediction],
+    trials: Sequence[Trial],
+    refused: InputError | None,
+) -> dict:
     solves = [{"trial": p.name, **solve_summary(p.solution)} for p in found]
     failed = [s["status"] for s in solves if not s["success"]]
-    if len(solves) < len(trials):
+    if refused is not None:
+        failed.append(str(refused))
+    elif len(solves) < len(trials):
         failed.append(STOPPED_BY_USER)
     total = {
         key: sum(s[key] for s in solves)

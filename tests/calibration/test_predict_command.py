@@ -8,13 +8,19 @@ import numpy as np
 import pytest
 from undrawn import undrawn
 
-from drake_exo.calibration.results import read_contact, write_contact
+from drake_exo.calibration.audit import Audit
+from drake_exo.calibration.results import (
+    read_contact,
+    read_trial,
+    write_contact,
+)
+from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.calibration.solving import read_checkpoint
 from drake_exo.cli import main
 from drake_exo.cli.predict import write_predictions
 from drake_exo.contact.parameters import Posterior, nominal_contact
 from drake_exo.errors import InputError
-from drake_exo.files.output import prepare_output_folder
+from drake_exo.files.output import prepare_output_folder, read_json
 from drake_exo.study import Prediction, Study
 from drake_exo.virtual_laboratory import synthetic
 
@@ -156,6 +162,29 @@ def test_what_a_prediction_refuses_leaves_no_folder(tmp_path):
     ):
         write_predictions(study, ground, folder)
     assert not out.exists()
+
+
+def test_what_is_solved_is_written_before_another_trial_is_refused(
+    tmp_path, monkeypatch
+):
+    """Whatever is wrong with that one."""
+    model, (one, other) = synthetic.rises_on_spheres(2, nodes_per_second=20)
+    other = replace(other, q=np.full_like(other.q, np.nan))
+    settings = PredictionSettings(solver=Solver(10.0))
+    study = Study(model, [one, other], prediction=settings)
+    audit = Audit("rise1", 0.0, 0.0, (0.0, 0.0), 0.0)
+    monkeypatch.setattr(Prediction, "audit", lambda found: audit)
+    with (
+        undrawn(),
+        pytest.raises(InputError, match="rise2: q holds what is no finite"),
+        prepare_output_folder(tmp_path / "out") as folder,
+    ):
+        write_predictions(study, nominal_contact(model), folder)
+    assert read_trial(tmp_path / "out", "rise1").source == "solved"
+    summary = read_json(tmp_path / "out" / "summary.json", "")
+    assert (summary["success"], summary["verdict"]) == (False, "not solved")
+    assert "rise2: q holds" in summary["status"]
+    assert [row["trial"] for row in summary["rmsd"]] == ["rise1"]
 
 
 def test_the_contact_beside_scaled_predictions_is_the_scaled_one(
