@@ -612,6 +612,8 @@ class PhaseProblem(Compiles, ABC):
             for p, i in zip(self.parameters, index, strict=True)
             if p.free and lower[i] < upper[i]
         }
+        if near is not None:
+            free = {}  # where a solution led them, some may move nothing
         infeasibility.check(problem, guess, free)
         prepared = time.perf_counter() - start
         if solver.solver == "drake":

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import drake_exo as dx
+from drake_exo.calibration.phases import FootGroundCalibration
 from drake_exo.errors import InputError
+from drake_exo.nlp import infeasibility
 
 COARSE = dx.settings.Solver(nodes_per_second=20.0)
 
@@ -193,6 +195,22 @@ def test_trials_of_the_same_samples_can_be_compared(made):
 def test_nothing_is_started_near_what_is_no_solution(posed):
     with pytest.raises(InputError, match="near is 3"):
         posed.solve(near=3)
+
+
+def test_a_solution_is_solved_further_whatever_a_parameter_tells_there(
+    monkeypatch,
+):
+    """At a start that is a fault; a solve may lead to where it moves none."""
+    model, trials = dx.synthetic.rises_on_spheres(1, nodes_per_second=20)
+    settings = dx.settings.FootGroundSettings(solver=COARSE)
+    posed = FootGroundCalibration(model, trials, settings)
+    found = posed.solve()
+    monkeypatch.setattr(
+        infeasibility, "_influence", lambda problem, y: np.zeros(len(y))
+    )
+    with pytest.raises(InputError, match="influences nothing"):
+        posed.solve()
+    assert posed.solve(near=found).success
 
 
 def test_a_design_needs_a_study():
