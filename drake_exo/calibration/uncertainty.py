@@ -31,6 +31,8 @@ from drake_exo.calibration.phases import FootGroundCalibration
 from drake_exo.calibration.problem import (
     PhaseProblem,
     PhaseResult,
+    has_encoders,
+    kinematic_terms,
     shared_noise,
 )
 from drake_exo.collocation.kernels import WRENCH_UNITS
@@ -687,7 +689,10 @@ def bands(result: PhaseResult) -> Bands | None:
                 problem.settings.noise.normal_force_n,
             )
     q, v = (_half_width(change_of(x)) for x in (grid.q, grid.v))
-    ends = movement.tracked[:2]
+    # Whether it tracks that or, as a periodic step, nothing.
+    shown = kinematic_terms(
+        movement, at, problem.settings.noise, encoders=has_encoders(at)
+    )
     seen_q, seen_v = (
         _half_width(
             of_seen(variables, by),
@@ -695,7 +700,7 @@ def bands(result: PhaseResult) -> Bands | None:
             shared_noise(problem.tree, term.sigma[0]),
         )
         for variables, term, by in zip(
-            (grid.q, grid.v), ends, (effects.q, effects.v), strict=True
+            (grid.q, grid.v), shown[:2], (effects.q, effects.v), strict=True
         )
     )
     return Bands(

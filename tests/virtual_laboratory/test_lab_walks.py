@@ -9,9 +9,15 @@ import pytest
 import drake_exo as dx
 from drake_exo.calibration.phases import PeriodicStep, mirrored
 from drake_exo.calibration.settings import PredictionSettings, Solver
-from drake_exo.contact.parameters import ContactModel, nominal_contact
+from drake_exo.calibration.uncertainty import QUANTILE_95, bands
+from drake_exo.contact.parameters import (
+    ContactModel,
+    Posterior,
+    nominal_contact,
+)
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
+from drake_exo.nlp.ipopt import Solution
 from drake_exo.virtual_laboratory import simulation, two_legs
 from drake_exo.virtual_laboratory.two_legs import (
     WalkingController,
@@ -153,15 +159,42 @@ def test_who_stumbles_is_told(subject, step):
         simulation.simulate("walk", subject.truth, walk, walker=walker)
 
 
-@pytest.mark.slow
-def test_a_step_repeats_itself_in_a_device(worn):
-    """Periodic ends of person and device, cuffs between them."""
+def worn_step(worn):
+    """A device's model, the template in it, and nominal cuffs."""
     subject = draw(worn, 0, frozenset())
     model, names = subject.model, subject.model.coordinates
     soles = replace(subject.truth.contact, constants=two_legs._SMOOTH)
     near = template(model.rigid.tree, soles, PLAN)
     q, v, a = (names.aligned(x) for x in (near.q, near.v, near.a))
     near = replace(near, coordinates=names, q=q, v=v, a=a)
+    return model, near, ContactModel(soles, nominal_contact(model).bushings)
+
+
+def test_a_periodic_step_has_bands(worn):
+    """It tracks nothing, but what a calibration left open moves it."""
+    model, near, contact = worn_step(worn)
+    name = "thigh_left.normal_stiffness"
+    known = Posterior((name,), np.array([5e3]), np.array([[500.0**2]]))
+    settings = PredictionSettings(ends="periodic", solver=Solver(10.0))
+    problem = PeriodicStep(
+        model, [near], replace(contact, posterior=known), settings
+    )
+    guess = problem.compiled.restrict(problem.guess())
+    values = problem.compiled.expand(guess)
+    solution = Solution(True, "", 0, 0.0, 0.0, [], 0, 0, 0, _values=values)
+    found = bands(problem.result(solution))
+    assert found.cuffs["thigh_left"][:, 1].max() > 0.1
+    assert found.seen_q.shape == found.q.shape
+    hip = model.coordinates.index("hip_left")
+    noise = np.deg2rad(settings.noise.angle_deg)
+    assert (found.seen_q[:, hip] > QUANTILE_95 * noise).all()
+
+
+@pytest.mark.slow
+def test_a_step_repeats_itself_in_a_device(worn):
+    """Periodic ends of person and device, cuffs between them."""
+    model, near, contact = worn_step(worn)
+    names = model.coordinates
     settings = PredictionSettings(
         ends="periodic",
         speed_m_s=PLAN.speed_m_s,
@@ -169,7 +202,6 @@ def test_a_step_repeats_itself_in_a_device(worn):
         noise=two_legs._NOISE,
         solver=Solver(25.0),
     )
-    contact = ContactModel(soles, nominal_contact(model).bushings)
     result = PeriodicStep(model, [near], contact, settings).solve()
     assert result.success
     (found,), other = result.trials, mirrored(names)
