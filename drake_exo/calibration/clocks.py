@@ -164,10 +164,21 @@ class Timing(InteractionCalibration):
     ):
         values = contact.values()
         # A single trial may not slip at all.
-        parameters = [
-            replace(p, nominal=values[p.name], prior_sd=None)
+        free = [
+            p
             for p in settings.parameters(model.cuffs)
             if p.free and not p.name.endswith(".slip")
+        ]
+        # Bounds were Phase B's; what is known may be another's, or scaled.
+        parameters = [
+            replace(
+                p,
+                nominal=(value := values[p.name]),
+                lower=min(p.lower, value),
+                upper=max(p.upper, value),
+                prior_sd=None,
+            )
+            for p in free
         ]
         PhaseProblem.__init__(
             self,

@@ -382,3 +382,17 @@ def test_what_is_known_comes_before_a_trials_own_data(in_device):
     found = cost.evaluator().Eval(x[place(cost.variables())])[0]
     expected = 0.5 * off @ np.linalg.solve(covariance, off)
     assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_cuffs_beyond_the_bounds_of_phase_b_time_a_trial(in_device):
+    """They are scaled, or a calibration with other bounds found them."""
+    contact, name = in_device.contact, "thigh.normal_stiffness"
+    known = Posterior((name,), np.array([7e3]), np.array([[1e4]]))
+    for factor in (1e-3, 1e3):
+        own = replace(contact, posterior=known).scaled(factor)
+        problem = Timing(
+            in_device.model, in_device.trials[:1], own, in_device.settings()
+        )
+        p = {p.name: p for p in problem.parameters}[name]
+        assert p.nominal == own.values()[name]
+        assert p.nominal in (p.lower, p.upper)
