@@ -659,13 +659,13 @@ class Calibration(_Solved):
         folder.mkdir(parents=True, exist_ok=True)
         verdict = verdict or self.verdict()
         summary, mark = self.summary(verdict), verdict.mark
-        study, trials = self.study, found.problem.trials
+        model, trials = found.problem.model, found.problem.trials
         # On the clocks that were found, as they are compared with.
-        write_inputs(folder, study.model, self._measured)
+        write_inputs(folder, model, self._measured)
         write_contact(
             folder,
             self.contact if self.success else found.contact,
-            Origin.of(study.name, study.model, trials, verdict),
+            Origin.of(self.study.name, model, trials, verdict),
         )
         for trial in found.trials:
             write_trial(folder, trial, mark)

@@ -4,10 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from undrawn import undrawn
 
 import drake_exo as dx
 from drake_exo.calibration.phases import FootGroundCalibration
+from drake_exo.calibration.results import read_calibration, read_model
 from drake_exo.errors import InputError
+from drake_exo.files.output import checksum
 from drake_exo.nlp import infeasibility
 
 COARSE = dx.settings.Solver(nodes_per_second=20.0)
@@ -190,6 +193,22 @@ def test_trials_of_the_same_samples_can_be_compared(made):
     assert trial == trial and trial != again
     assert len({trial, again}) == 2
     assert trial.ground != replace(trial.ground, force=trial.ground.force + 0)
+
+
+def test_what_is_written_is_of_the_model_that_was_calibrated(tmp_path):
+    """Whatever the study's is by now."""
+    model, trials = dx.synthetic.rises_on_spheres(1, nodes_per_second=20)
+    settings = dx.settings.FootGroundSettings(solver=COARSE)
+    study = dx.Study(model, trials, foot_ground=settings)
+    found = dx.calibrate_foot_ground(study)
+    pelvis = model.human.pelvis
+    heavy = replace(pelvis, mass_kg=pelvis.mass_kg + 20.0)
+    study.model = replace(model, human=replace(model.human, pelvis=heavy))
+    vars(found)["_audits"] = ()  # it need not simulate
+    with undrawn():
+        found.write(tmp_path)
+    assert read_model(tmp_path) == model
+    assert read_calibration(tmp_path).origin.model == checksum(model)
 
 
 def test_nothing_is_started_near_what_is_no_solution(posed):
