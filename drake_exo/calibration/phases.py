@@ -187,7 +187,8 @@ class InteractionCalibration(PhaseProblem):
     Args:
         model: subject and device.
         trials: measured.
-        contact: of foot and ground, calibrated; its bushings are not used.
+        contact: of foot and ground, calibrated; what it knows of bushings is
+            not used.
         settings: noise, bounds, grid.
         refined: finer intervals, see `PhaseProblem`.
 
@@ -221,7 +222,7 @@ class InteractionCalibration(PhaseProblem):
         super().__init__(
             model,
             trials,
-            replace(contact, bushings=bushings),
+            replace(contact, bushings=bushings, posterior=None),
             settings.parameters(model.cuffs),
             settings,
             settings.errors,

@@ -9,6 +9,7 @@ from undrawn import undrawn
 import drake_exo as dx
 from drake_exo.calibration.phases import FootGroundCalibration
 from drake_exo.calibration.results import read_calibration, read_model
+from drake_exo.contact.parameters import Posterior
 from drake_exo.errors import InputError
 from drake_exo.files.output import checksum
 from drake_exo.nlp import infeasibility
@@ -209,6 +210,16 @@ def test_what_is_written_is_of_the_model_that_was_calibrated(tmp_path):
         found.write(tmp_path)
     assert read_model(tmp_path) == model
     assert read_calibration(tmp_path).origin.model == checksum(model)
+
+
+def test_phase_b_knows_nothing_of_a_calibration_before_it(made):
+    """What was known is not of the values that a failed one ends with."""
+    name = "thigh.normal_stiffness"
+    known = Posterior((name,), np.array([7e3]), np.array([[1e4]]))
+    posed = dx.InteractionCalibration(
+        made.model, made.trials, replace(made.contact, posterior=known)
+    )
+    assert posed.contact.posterior is None
 
 
 def test_nothing_is_started_near_what_is_no_solution(posed):
