@@ -70,7 +70,8 @@ class FootGroundCalibration(PhaseProblem):
         model: subject and device.
         trials: measured.
         settings: noise, bounds, grid.
-        parameters: to calibrate; those of the settings by default.
+        parameters: to calibrate; those of the settings by default, none of
+            an empty list.
         ground: contact that is known, of a sole; then there are none.
         refined: finer intervals, see `PhaseProblem`.
 
@@ -92,14 +93,16 @@ class FootGroundCalibration(PhaseProblem):
         refined: Mapping[str, Parts] | None = None,
     ):
         settings = schema.checked(settings, FootGroundSettings, "settings")
+        trials = as_trials(trials)
         if ground is None:
             contact = settings.contact(model.spheres)
-            parameters = parameters or settings.parameters(model.spheres)
+            if parameters is None:
+                parameters = settings.parameters(model.spheres)
         else:
             check_type(ground, GroundContact, "ground")
-            jerk = typical_jerk(as_trials(trials))
-            contact = ContactModel(ground, jerk=jerk)
-            parameters = []
+            contact, parameters = ContactModel(ground), []
+        if not parameters:  # of a contact that is known, too
+            contact = replace(contact, jerk=typical_jerk(trials))
         super().__init__(
             model, trials, contact, parameters, settings, refined=refined
         )

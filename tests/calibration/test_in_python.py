@@ -212,6 +212,18 @@ def test_what_is_written_is_of_the_model_that_was_calibrated(tmp_path):
     assert read_calibration(tmp_path).origin.model == checksum(model)
 
 
+def test_foot_and_ground_may_be_known():
+    """By a contact or by no parameters; trials may come one by one."""
+    model, trials = dx.synthetic.rises_on_spheres(2, nodes_per_second=20)
+    usual = FootGroundCalibration(model, trials)
+    ground = usual.contact.ground
+    for how in ({"parameters": []}, {"ground": ground}):
+        posed = FootGroundCalibration(model, iter(trials), **how)
+        assert posed.parameters == [] and len(posed.trials) == 2
+        assert posed.contact == usual.contact
+    assert usual.parameters
+
+
 def test_phase_b_knows_nothing_of_a_calibration_before_it(made):
     """What was known is not of the values that a failed one ends with."""
     name = "thigh.normal_stiffness"
