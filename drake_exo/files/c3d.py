@@ -240,7 +240,7 @@ def _markers(path, file: C3dContents) -> MarkerData | None:
 def _analog(path, file: C3dContents) -> tuple[Table | None, dict[str, str]]:
     if file.analogs.size == 0:
         return None, {}
-    values = _of_unsigned(file)
+    values = _scaled(path, file)
     names = _unique(file.texts("ANALOG", "LABELS"), values.shape[1], "channel")
     units = file.texts("ANALOG", "UNITS")
     units += [""] * (len(names) - len(units))
@@ -253,28 +253,40 @@ def _analog(path, file: C3dContents) -> tuple[Table | None, dict[str, str]]:
     return table, dict(zip(names, units, strict=False))
 
 
-def _of_unsigned(file: C3dContents) -> np.ndarray:
-    """Analog signals (N, C), also those of counts without sign.
+def _scaled(path, file: C3dContents) -> np.ndarray:
+    """Analog signals (N, C): counts less OFFSET, in their units.
 
-    ezc3d takes such counts for signed ones, 65 536 too low where they are
-    large.
+    ezc3d takes an OFFSET's magnitude, and counts without sign for signed
+    ones, 65 536 too low where they are large.
     """
     values = file.analogs
+    scale, told = (_by_channel(path, file, n) for n in ("SCALE", "OFFSET"))
+    whole = file.numbers("ANALOG", "GEN_SCALE")
+    one = scale if whole is None else whole.flat[0] * scale
+    is_unsigned = file.texts("ANALOG", "FORMAT")[:1] == ["UNSIGNED"]
+    offset = np.mod(told, 65536.0) if is_unsigned else told
+    with np.errstate(invalid="ignore"):  # of a scale that is no number
+        values = values + one * (np.abs(told) - offset)
     real = file.numbers("POINT", "SCALE")
-    if file.texts("ANALOG", "FORMAT")[:1] != ["UNSIGNED"] or (
-        real is not None and real.flat[0] < 0.0
-    ):
+    if not is_unsigned or (real is not None and real.flat[0] < 0.0):
         return values
-    told = [
-        file.numbers("ANALOG", name)
-        for name in ("SCALE", "OFFSET", "GEN_SCALE")
-    ]
-    if any(x is None for x in told):
-        return values
-    scale, offset, whole = (x.ravel()[: values.shape[1]] for x in told)
-    one, offset = whole[0] * scale, np.mod(offset, 65536.0)
     is_low = np.sign(one) * (values + offset * one) < -0.5 * np.abs(one)
     return values + 65536.0 * one * is_low
+
+
+def _by_channel(path, file: C3dContents, name: str) -> np.ndarray:
+    """A number (C,) of ANALOG for each channel, with its continuations."""
+    found = [file.numbers("ANALOG", f"{name}{i}") for i in ("", *range(2, 10))]
+    number = np.concatenate(
+        [np.ravel(x) for x in found if x is not None] or [[]]
+    )
+    count = file.analogs.shape[1]
+    if len(number) < count:
+        raise InputError(
+            f"{path}: ANALOG:{name} holds {len(number)} of {count} channels' "
+            "numbers; export it again"
+        )
+    return number[:count]
 
 
 def _unique(names: list[str], count: int, prefix: str) -> tuple[str, ...]:

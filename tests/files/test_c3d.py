@@ -156,33 +156,48 @@ def test_origin_with_the_wrong_sign_is_turned(tmp_path, markers, plate):
 
 
 def test_counts_without_sign(monkeypatch, tmp_path, markers, plate):
-    """As ezc3d hands them over: read as signed, the offset as it should be."""
+    """As ezc3d hands them over: read as signed, less the offset's size."""
     path = tmp_path / "a.c3d"
     write_c3d(path, markers, [plate], [design(2)], 10)
     plain = decode(path)
-    offset, scale = 32768, np.abs(plain.analogs).max(axis=0) / 3e4
+    offset = np.repeat([32768, 33536], 3)
+    scale = np.abs(plain.analogs).max(axis=0) / 3e4
     counts = np.round(plain.analogs / scale) + offset
     signed = counts - 65536.0 * (counts >= 32768)
     analog = dict(
         FORMAT=["UNSIGNED"],
         SCALE=scale,
-        OFFSET=np.full(6, -32768),
+        OFFSET=offset - 65536,
         GEN_SCALE=np.ones(1),
     )
     parameters = plain.parameters | {
         "ANALOG": plain.parameters["ANALOG"] | analog,
         "POINT": plain.parameters["POINT"] | {"SCALE": np.array([0.1])},
     }
-    found = replace(
-        plain, analogs=scale * (signed - offset), parameters=parameters
-    )
+    analogs = scale * (signed - np.abs(offset - 65536))
+    found = replace(plain, analogs=analogs, parameters=parameters)
     assert (np.abs(found.analogs - plain.analogs) > 100.0 * scale).any()
     monkeypatch.setattr(c3d_files, "decode", lambda path: found)
-    bare = {k: v for k, v in parameters["ANALOG"].items() if k != "OFFSET"}
-    less = replace(found, parameters=parameters | {"ANALOG": bare})
-    assert c3d_files._of_unsigned(less) is found.analogs
     off = np.abs(read_c3d(path).analog.values - plain.analogs)
     assert (off <= 0.501 * scale).all()
+    analog["OFFSET"] = analog["OFFSET"][:5]
+    parameters["ANALOG"] |= analog
+    with pytest.raises(InputError, match="OFFSET holds 5 of 6 channels'"):
+        read_c3d(path)
+
+
+def test_offsets_below_zero(tmp_path, markers, plate):
+    """(count - OFFSET) SCALE, says the manual; ezc3d takes the magnitude."""
+    path = tmp_path / "a.c3d"
+    write_c3d(path, markers, [plate], [design(2)], 10)
+    plain, data = read_c3d(path).analog.values, bytearray(path.read_bytes())
+    (first,) = struct.unpack_from("<6h", data, data.index(b"OFFSET") + 11)[:1]
+    assert first == 0
+    struct.pack_into("<6h", data, data.index(b"OFFSET") + 11, *6 * [-100])
+    path.write_bytes(data)
+    scale = decode(path).numbers("ANALOG", "SCALE")
+    found = read_c3d(path).analog.values
+    np.testing.assert_allclose(found, plain + 100.0 * scale, atol=1e-3)
 
 
 @pytest.mark.slow
