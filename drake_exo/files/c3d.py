@@ -26,7 +26,8 @@ import json
 import re
 import subprocess
 import sys
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -56,26 +57,24 @@ class C3d:
 
     Attributes:
         markers: None if the file has none.
-        plates: force plates, numbered from 1, in the file's axes; forces on
-            the body.
+        plates: number from 1 -> force plate in the file's axes, forces on
+            the body; one that cannot be read raises when it is asked for.
         plate_time: (N,) of the plates' samples [s].
         analog: all analog channels; None if the file has none.
-        corners: (P, 4, 3) of each plate [m].
     """
 
     markers: MarkerData | None
-    plates: list[PlateRecording]
+    plates: Mapping[int, PlateRecording]
     plate_time: np.ndarray
     analog: Table | None
-    corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 3)))
 
 
 def read_c3d(path: str | Path) -> C3d:
     """Read a C3D file; time starts at zero with its first frame.
 
     Raises:
-        InputError: unreadable or truncated file, unknown units, a plate
-            without corners or channels, or of another type.
+        InputError: unreadable or truncated file, unknown units. Of a plate
+            without corners or channels, or of another type: see `C3d`.
     """
     path = Path(path)
     file = decode(path)
@@ -83,14 +82,30 @@ def read_c3d(path: str | Path) -> C3d:
     analog, units = _analog(path, file)
     used = file.numbers("FORCE_PLATFORM", "USED")
     count = 0 if used is None else int(np.clip(used.flat[0], 0, _MOST_PLATES))
-    plates = [_Plate(path, file, i, analog, units) for i in range(count)]
     return C3d(
         markers=markers,
-        plates=[plate.recording() for plate in plates],
+        plates=_Plates(count, path, file, analog, units),
         plate_time=np.zeros(0) if analog is None else analog.time,
         analog=analog,
-        corners=np.reshape([plate.corners for plate in plates], (-1, 4, 3)),
     )
+
+
+class _Plates(Mapping):
+    """Plates of a file, each read when it is asked for."""
+
+    def __init__(self, count: int, *of):
+        self._numbers, self._of = range(1, count + 1), of
+
+    def __getitem__(self, number: int) -> PlateRecording:
+        if number not in self._numbers:
+            raise KeyError(number)
+        return _Plate(number, *self._of).recording()
+
+    def __iter__(self):
+        return iter(self._numbers)
+
+    def __len__(self) -> int:
+        return len(self._numbers)
 
 
 @dataclass(frozen=True)
@@ -322,9 +337,9 @@ class _Plate:
         corners: (4, 3) [m].
     """
 
-    def __init__(self, path, file: C3dContents, index, analog, units):
-        self._path, self._index, self._file = path, index, file
-        self._name = f"force plate {index + 1}"
+    def __init__(self, number, path, file: C3dContents, analog, units):
+        self._path, self._number, self._file = path, number, file
+        self._name = f"force plate {number}"
         self._kind = self._type()
         self._length = _point_unit(path, file)
         self.corners = self._length * self._corners()
@@ -339,7 +354,7 @@ class _Plate:
         F, M = self._wrench()
         middle = self.corners.mean(axis=0)
         return PlateRecording(
-            number=self._index + 1,
+            number=self._number,
             force=F @ R.T,
             point=np.tile(middle, (len(F), 1)),
             torque=M @ R.T,
@@ -387,9 +402,9 @@ class _Plate:
         values = self._file.numbers("FORCE_PLATFORM", name)
         if values is None or values.ndim != dimensions:
             return None
-        if values.shape[-1] <= self._index:
+        if values.shape[-1] < self._number:
             return None
-        own = values[..., self._index]
+        own = values[..., self._number - 1]
         return own if np.isfinite(own).all() else None
 
     def _error(self, message: str) -> InputError:

@@ -1,6 +1,6 @@
 """What a file of ours or a laboratory's holds, for every format read."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -105,7 +105,7 @@ def _of_table(path: Path) -> list[Section]:
     said = angles.get(table.in_degrees, "the header says no unit of angles")
     found = []
     if has_plates(table):
-        found.append(_plates(table.time, plates_of(table)))
+        found.append(_plates(table.time, _numbered(plates_of(table))))
     return [*found, _channels(table, said)]
 
 
@@ -114,7 +114,7 @@ def _of_csv(path: Path) -> list[Section]:
     first = next((s for s in lines if s.strip()), "")
     if any(s.startswith("MocapFrame") for s in lines):
         time, plate = read_plate_csv(path)
-        return [_plates(time, [plate])]
+        return [_plates(time, _numbered([plate]))]
     if "Format Version" in first:
         return [_markers(read_markers_csv(path))]
     cells = first.split(",")
@@ -213,12 +213,21 @@ def _gaps(time: np.ndarray, unseen: np.ndarray) -> str:
     return f"; not seen in {unseen.sum()} frames: {', '.join(told)}{more} s"
 
 
-def _plates(time: np.ndarray, plates: list[PlateRecording]) -> Section:
+def _numbered(plates: list[PlateRecording]) -> dict[int, PlateRecording]:
+    return {plate.number: plate for plate in plates}
+
+
+def _plates(time: np.ndarray, plates: Mapping[int, PlateRecording]) -> Section:
     lines = []
-    for plate in plates:
+    for number in plates:
+        line = f"plate {number}: "
+        try:
+            plate = plates[number]
+        except InputError as error:
+            lines.append(f"{line}cannot be read ({error})")
+            continue
         size = np.linalg.norm(plate.force, axis=1)
         loaded = size > _LOADED_N
-        line = f"plate {plate.number}: "
         if not loaded.any():
             lines.append(
                 f"{line}never above {_LOADED_N:g} N (at most "

@@ -3,7 +3,7 @@
 Nothing is filtered here but what judges whether a plate is loaded.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -260,9 +260,14 @@ def _plates_of_c3d(path: Path):
     return file.plate_time, file.plates
 
 
+def _plates_of_table(path: Path):
+    time, plates = read_plates(path)
+    return time, {plate.number: plate for plate in plates}
+
+
 def _plate_of_csv(path: Path):
     time, plate = read_plate_csv(path)
-    return time, [plate]
+    return time, {plate.number: plate}
 
 
 _MARKER_READERS = {
@@ -271,8 +276,8 @@ _MARKER_READERS = {
     ".csv": read_markers_csv,
 }
 _FORCE_READERS = {
-    ".mot": read_plates,
-    ".sto": read_plates,
+    ".mot": _plates_of_table,
+    ".sto": _plates_of_table,
     ".c3d": _plates_of_c3d,
     ".csv": _plate_of_csv,
 }
@@ -359,11 +364,10 @@ def plates_under(
     return time, [_plate(path, recorded, n) for n in numbers]
 
 
-def _plate(path, recorded: list[PlateRecording], number: int):
-    for plate in recorded:
-        if plate.number == number:
-            return plate
-    numbers = ", ".join(str(p.number) for p in recorded)
+def _plate(path, recorded: Mapping[int, PlateRecording], number: int):
+    if number in recorded:
+        return recorded[number]
+    numbers = ", ".join(map(str, recorded))
     raise InputError(
         f"{path}: has no force plate {number}; it holds plates {numbers}"
     )

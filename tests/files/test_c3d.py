@@ -11,6 +11,7 @@ import pytest
 from drake_exo.errors import InputError
 from drake_exo.files import c3d as c3d_files
 from drake_exo.files.c3d import PlateDesign, decode, read_c3d, write_c3d
+from drake_exo.files.inspection import inspect
 from drake_exo.files.opensim import read_trc
 from drake_exo.files.tables import MarkerData, PlateRecording, plate_axes
 
@@ -64,13 +65,13 @@ def test_plates_of_every_type(tmp_path, markers, plate, kind):
     path = tmp_path / "a.c3d"
     write_c3d(path, markers, [plate], [design(kind)], 10)
     found = read_c3d(path)
-    (read,) = found.plates
+    read = found.plates[1]
     np.testing.assert_allclose(read.force, plate.force, atol=1e-3)
     np.testing.assert_allclose(
         read.moment_about_origin(), plate.moment_about_origin(), atol=1e-3
     )
     np.testing.assert_allclose(found.plate_time, np.arange(300) / 1000.0)
-    np.testing.assert_allclose(found.corners[0], CORNERS, atol=1e-7)
+    np.testing.assert_allclose(read.point[0], CORNERS.mean(0), atol=1e-7)
     # An independent decoder agrees where the wrench acts.
     (other,) = ezc3d.c3d(str(path), extract_forceplat_data=True)["data"][
         "platform"
@@ -91,7 +92,7 @@ def test_markers_come_back(tmp_path, markers):
         found.markers.positions, markers.positions, atol=1e-6
     )
     np.testing.assert_allclose(found.markers.time, markers.time)
-    assert found.plates == [] and found.analog is None
+    assert not found.plates and found.analog is None
 
 
 @pytest.mark.slow
@@ -124,9 +125,9 @@ def test_two_plates_keep_their_numbers(tmp_path, markers, plate):
     designs = [design(3), design(2)]
     write_c3d(path, markers, [light, plate], designs, 10)
     found = read_c3d(path)
-    assert [p.number for p in found.plates] == [1, 2]
-    assert found.plates[0].force[:, 2].mean() == pytest.approx(68.7, abs=0.1)
-    assert found.plates[1].force[:, 2].mean() == pytest.approx(687.0, abs=1.0)
+    assert [p.number for p in found.plates.values()] == [1, 2]
+    assert found.plates[1].force[:, 2].mean() == pytest.approx(68.7, abs=0.1)
+    assert found.plates[2].force[:, 2].mean() == pytest.approx(687.0, abs=1.0)
     assert found.analog.names[:2] == ("Fx12_1", "Fx34_1")
     units = decode(path).texts("ANALOG", "UNITS")
     assert units[found.analog.names.index("Mx_2")] == "Nmm"
@@ -149,7 +150,7 @@ def test_origin_with_the_wrong_sign_is_turned(tmp_path, markers, plate):
         parameters["FORCE_PLATFORM"]["ORIGIN"]["value"] *= -1.0
 
     path = edited(tmp_path, markers, plate, 2, flip)
-    (read,) = read_c3d(path).plates
+    read = read_c3d(path).plates[1]
     np.testing.assert_allclose(
         read.moment_about_origin(), plate.moment_about_origin(), atol=1e-3
     )
@@ -211,7 +212,7 @@ def test_units_of_channels_are_those_that_the_file_names(
         parameters["ANALOG"]["UNITS"]["value"] = units
 
     path = edited(tmp_path, markers, plate, 2, change)
-    (read,) = read_c3d(path).plates
+    read = read_c3d(path).plates[1]
     np.testing.assert_allclose(read.force, 1e3 * plate.force, rtol=1e-5)
     raw = decode(path).analogs
     # About the middle: the signals' origin is 4 cm below it.
@@ -263,9 +264,27 @@ def test_refuses_damaged_parameters(
 ):
     path = edited(tmp_path, markers, plate, kind, change)
     with pytest.raises(InputError) as caught:
-        read_c3d(path)
+        dict(read_c3d(path).plates)
     message = str(caught.value)
     assert "a.c3d" in message and words in message and "\n" not in message
+
+
+def test_a_plate_that_cannot_be_read_blocks_nothing_else(
+    monkeypatch, tmp_path, markers, plate
+):
+    path = tmp_path / "a.c3d"
+    write_c3d(path, markers, [plate] * 2, [design(2)] * 2, 10)
+    found = decode(path)
+    found.parameters["FORCE_PLATFORM"]["CORNERS"][..., 0] = 0.0
+    monkeypatch.setattr(c3d_files, "decode", lambda path: found)
+    read = read_c3d(path)
+    assert read.markers.names == markers.names
+    np.testing.assert_allclose(read.plates[2].force, plate.force, atol=1e-3)
+    with pytest.raises(InputError, match="force plate 1 has no corners"):
+        read.plates[1]
+    (said,) = (s for s in inspect(path) if "plates" in s.title)
+    assert "plate 1: cannot be read (" in said.lines[0]
+    assert "plate 2: loaded 100 %" in said.lines[1]
 
 
 @pytest.mark.parametrize("share", [0.05, 0.3, 0.9, 0.95])
@@ -312,7 +331,7 @@ def test_walking_forces_carry_the_body(walking):
     p = walking.markers.positions
     stance = []
     for number, side in ((1, "L"), (2, "R")):
-        plate = walking.plates[number - 1]
+        plate = walking.plates[number]
         F = plate.force.reshape(-1, 8, 3).mean(axis=1)
         M = plate.moment_about_origin().reshape(-1, 8, 3).mean(axis=1)
         loaded = F[:, 2] > 300.0
@@ -345,7 +364,7 @@ def test_type_4_plates(data_root):
     assert len(found.plates) == 4 and found.markers.rate_hz == 240.0
     file = ezc3d.c3d(str(path), extract_forceplat_data=True)
     for plate, other in zip(
-        found.plates, file["data"]["platform"], strict=True
+        found.plates.values(), file["data"]["platform"], strict=True
     ):
         np.testing.assert_allclose(plate.force, other["force"].T, atol=1e-9)
         np.testing.assert_allclose(
@@ -355,12 +374,12 @@ def test_type_4_plates(data_root):
     # z points down.
     raw = found.analog.values[0, 12:18]
     row = [0.049, 0.053, 11.512, -0.005, -0.025, 0.014]
-    assert found.plates[2].force[0, 2] == pytest.approx(-np.dot(row, raw))
+    assert found.plates[3].force[0, 2] == pytest.approx(-np.dot(row, raw))
 
 
 def test_markers_alone(data_root):
     found = read_c3d(data_root / "c3d" / "ktk_walkingOptiTrack.c3d")
-    assert found.plates == [] and found.analog is None
+    assert not found.plates and found.analog is None
     assert found.markers.positions.shape == (3361, 12, 3)
     assert np.nanmax(np.abs(found.markers.positions)) < 10.0  # was in mm
 

@@ -130,7 +130,12 @@ def laboratory() -> dict:
             written(lambda p: write_table(p, plates_table())),
             read_plates,
         ),
-        "c3d": ("a.c3d", "binary", written(_c3d, "a.c3d"), read_c3d),
+        "c3d": (
+            "a.c3d",
+            "binary",
+            written(_c3d, "a.c3d"),
+            lambda p: dict(read_c3d(p).plates),
+        ),
         "encoders": (
             "a.csv",
             "text",

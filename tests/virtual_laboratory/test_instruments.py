@@ -579,7 +579,8 @@ def written_files(tmp_path, files):
     if files == "c3d":
         found = read_c3d(folder / paths["markers"])
         signals = [read_csv_table(path) for path in device]
-        return found.markers, found.plate_time, found.plates, signals
+        plates = list(found.plates.values())
+        return found.markers, found.plate_time, plates, signals
     markers = read_trc(folder / paths["markers"])
     time, plates = read_plates(folder / paths["forces"])
     signals = [read_table(device[0]).in_radians(), read_table(device[1])]
