@@ -36,7 +36,7 @@ from drake_exo.files.tables import read_bytes
 # Names what a run wrote, so that replacing results never removes files that
 # somebody else put into the folder.
 MANIFEST = ".drake_exo_files"
-# In it while a run writes into a folder that was empty: all there is its own.
+# In it while a run writes: all there is its own but what else is named.
 _WHOLE = "*"
 # Held while a run writes; the system lets go of it when the process ends,
 # however that is.
@@ -113,7 +113,9 @@ class OutputFolder:
                     f"have a file of that name; move it; they are in "
                     f"{self.path}"
                 )
-            for name in _read_manifest(self.target) - written:
+            old = _own(self.target) - written
+            _write_manifest(self.target, {_WHOLE, *others})
+            for name in old:
                 (self.target / name).unlink(missing_ok=True)
             for name in sorted(written):
                 place = self.target / name
@@ -179,13 +181,14 @@ def _place(target: Path, force: bool, resume: bool) -> Path:
             "--out, or replace them with --force"
         )
     partial = _beside(target)
-    if resume and occupied:
-        return partial if force and partial.is_dir() else target
-    if occupied:
+    if occupied and not resume:
         shutil.rmtree(partial, ignore_errors=True)
-    place = partial if occupied else target
+    place = target
+    if occupied and force and (partial.is_dir() or not resume):
+        place = partial
     place.mkdir(parents=True, exist_ok=True)
-    _write_manifest(place, {_WHOLE})  # before hours of work, not after
+    # Before hours of work, not after.
+    _write_manifest(place, {_WHOLE, *(_files(place) - _own(place))})
     return place
 
 
@@ -255,7 +258,7 @@ def _read_manifest(folder: Path) -> set[str]:
 def _own(folder: Path) -> set[str]:
     """What runs have written into a folder, finished or not."""
     listed = _read_manifest(folder)
-    return _files(folder) if _WHOLE in listed else listed
+    return _files(folder) - listed if _WHOLE in listed else listed
 
 
 def _is_inside(folder: Path, name: str) -> bool:

@@ -264,16 +264,48 @@ def test_resuming_does_not_make_others_files_its_own(tmp_path):
     assert (target / "study.yaml").read_text() == "mine"
 
 
-def test_what_a_killed_run_left_is_its_own(tmp_path):
+@pytest.mark.parametrize("resume", [False, True])
+def test_what_a_killed_run_left_is_its_own(tmp_path, resume):
+    """Whether it began the folder or went on in one with another's file."""
     target = tmp_path / "out"
-    folder = prepare_output_folder(target)
+    if resume:
+        with prepare_output_folder(target) as folder:
+            (folder / "none.txt").write_text("before")
+        (target / "study.yaml").write_text("mine")
+    folder = prepare_output_folder(target, resume=resume)
     (folder.path / "one.txt").write_text("so far")
     os.close(folder._lock)  # as the system does
-    with prepare_output_folder(target, resume=True):
-        pass
-    with prepare_output_folder(target, force=True):
-        pass
-    assert not (target / "one.txt").exists()
+    again = prepare_output_folder(target, resume=True)
+    assert again._others == ({"study.yaml"} if resume else set())
+    os.close(again._lock)
+    with prepare_output_folder(target, force=True) as folder:
+        (folder / "two.txt").write_text("new")
+    assert (target / MANIFEST).read_text() == "two.txt\n"
+    theirs = ["study.yaml"] if resume else []
+    names = sorted(p.name for p in target.iterdir())
+    assert names == [MANIFEST, *theirs, "two.txt"]
+
+
+def test_a_run_killed_while_it_replaces_can_be_replaced(tmp_path, monkeypatch):
+    target = tmp_path / "out"
+    with prepare_output_folder(target) as folder:
+        (folder / "one.txt").write_text("old")
+    (target / "study.yaml").write_text("mine")
+
+    def cut(whole, place):
+        if whole.name == "two.txt":
+            raise KeyboardInterrupt
+        os.rename(whole, place)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(output.os, "replace", cut)
+        with prepare_output_folder(target, force=True) as folder:
+            (folder / "new.txt").write_text("new")
+            (folder / "two.txt").write_text("new")
+    with prepare_output_folder(target, force=True) as folder:
+        (folder / "new.txt").write_text("newer")
+    names = sorted(p.name for p in target.iterdir())
+    assert names == [MANIFEST, "new.txt", "study.yaml"]
 
 
 @pytest.mark.parametrize(
