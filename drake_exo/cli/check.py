@@ -1,6 +1,7 @@
 """`drake-exo check`: read and clean a study's files, report their quality."""
 
 import argparse
+from contextlib import nullcontext
 from pathlib import Path
 
 from drake_exo.cli import add_accept, add_out, add_study
@@ -26,16 +27,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print report and checks; write them with pictures to --out, if given."""
     study = read_study(args.study, args.data_root)
-    folder = None
+    folder = nullcontext()
     if args.out is not None:
         folder = prepare_output_folder(args.out, args.force, reads=study.reads)
-    quality = study.quality()
-    verdict = Verdict(quality.checks, tuple(args.accept))
-    print(text_of(quality))
-    print(verdict.text())
-    if folder is not None:
-        with folder as out:
+    with folder as out:
+        quality = study.quality()
+        verdict = Verdict(quality.checks, tuple(args.accept))
+        print(text_of(quality))
+        print(verdict.text())
+        if out is not None:
             _write(out, study, quality, verdict)
+    if args.out is not None:
         print(f"report in {args.out}")
     return verdict.exit_code
 

@@ -30,8 +30,10 @@ def edit(folder, old, new):
 
 
 def refusal(folder, capsys):
-    """The message of exit code 2: one sentence, no traceback."""
-    assert main(["check", str(folder / "study.yaml")]) == 2
+    """The message of exit code 2: one sentence, no traceback, no folder."""
+    out = folder / "out"
+    assert main(["check", str(folder / "study.yaml"), "--out", str(out)]) == 2
+    assert not out.exists()
     message = capsys.readouterr().err
     assert message.startswith("drake-exo: error: ")
     assert message.count("\n") == 1 and "Traceback" not in message
