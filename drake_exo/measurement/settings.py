@@ -17,7 +17,7 @@ from drake_exo.files.schema import quantity
 from drake_exo.measurement.events import FootEvent
 from drake_exo.measurement.filters import low_pass
 from drake_exo.measurement.sagittal import SagittalFrame
-from drake_exo.model.assembly import ASSEMBLIES, Assembly
+from drake_exo.model.assembly import ASSEMBLIES, SIDES, Assembly
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.segments import (
     LEG_JOINTS,
@@ -369,6 +369,17 @@ class Plates:
             raise InputError(
                 "name the plates of the feet as left and right, or as both"
             )
+        for side in SIDES:
+            if getattr(self, side) == ():
+                raise InputError(
+                    f"{side} names no plate; name one, or leave {side} out"
+                )
+            for plate in self.of(side):
+                if self.of(side).count(plate) > 1:
+                    raise InputError(
+                        f"{side} names plate {plate} more than once, and its "
+                        "force would count as often; name it once"
+                    )
         twice = set(self.of("left")) & set(self.of("right"))
         if twice:
             plate = min(twice)

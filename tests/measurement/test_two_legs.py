@@ -190,6 +190,10 @@ def test_several_plates_in_turn_are_one_foot():
     assert plates.of("both") == ()
     with pytest.raises(InputError, match="plate 3 cannot be left and right"):
         Plates(left=(2, 3), right=(1, 3))
+    with pytest.raises(InputError, match="left names plate 2 more than once"):
+        Plates(left=(2, 2), right=1)
+    with pytest.raises(InputError, match="right names no plate; name one"):
+        Plates(left=2, right=())
 
 
 @pytest.mark.parametrize(
