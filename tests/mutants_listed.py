@@ -427,10 +427,6 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "degrees = values",
         ),
         (
-            "ground.force_x, ground.force_z, zero, cop",
-            "ground.force_z, ground.force_x, zero, cop",
-        ),
-        (
             "values.extend((middle - width, middle + width))",
             "values.extend((middle, middle + width))",
         ),
@@ -834,6 +830,10 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     ],
     "drake_exo/measurement/subject.py": [
         ("dx = float(gap * tree.mass / pelvis.mass_kg)", "dx = float(gap)"),
+    ],
+    "drake_exo/measurement/sagittal.py": [
+        ("[F_x, F_z, zero, cop,", "[F_z, F_x, zero, cop,"),
+        ("0.0, -share * wrench.moment)", "0.0, share * wrench.moment)"),
     ],
     "drake_exo/measurement/events.py": [
         (

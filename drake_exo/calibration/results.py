@@ -31,6 +31,7 @@ from drake_exo.files import schema
 from drake_exo.files.opensim import write_table
 from drake_exo.files.output import HOLDS, Check, Verdict, checksum, write_json
 from drake_exo.files.tables import Table
+from drake_exo.measurement.sagittal import external_loads
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Solution
@@ -461,16 +462,13 @@ def write_trial(folder: Path, trial: Trial, mark: str = "") -> None:
         degrees = np.where(names.is_angle, np.rad2deg(values), values)
         table = Table(trial.times, names.names, degrees, in_degrees=True)
         path = folder / f"{trial.name}_{kind}.sto"
-        write_table(path, table, _titled(kind.capitalize(), mark))
-    zero = np.zeros_like(trial.times)
-    columns, force = [], []
-    for side, ground in trial.soles.items():
-        cop = np.nan_to_num(ground.cop_x)
-        force += [ground.force_x, ground.force_z, zero, cop, *[zero] * 5]
-        end = "" if side == "both" else f"{side}_"
-        columns += [f"ground_force_{end}{k}{a}" for k in "vp" for a in "xyz"]
-        columns += [f"ground_torque_{end}{a}" for a in "xyz"]
-    force = np.column_stack(force)
+        write_table(path, table, titled(kind.capitalize(), mark))
+    columns, force = external_loads(
+        {
+            "" if side == "both" else f"_{side}": ground
+            for side, ground in trial.soles.items()
+        }
+    )
     moments = [f"{n}_moment" for n in names.joints]
     tables = {
         "ground_reaction": (columns, force, "Ground reaction"),
@@ -485,11 +483,12 @@ def write_trial(folder: Path, trial: Trial, mark: str = "") -> None:
     for kind, (columns, values, title) in tables.items():
         table = Table(trial.times, tuple(columns), values, in_degrees=False)
         path = folder / f"{trial.name}_{kind}.sto"
-        write_table(path, table, _titled(title, mark))
+        write_table(path, table, titled(title, mark))
     trial.save(folder / f"solution_{trial.name}")
 
 
-def _titled(title: str, mark: str) -> str:
+def titled(title: str, mark: str) -> str:
+    """First line of a table, with `Verdict.mark` where there is one."""
     return f"{title} ({mark})" if mark else title
 
 
@@ -524,7 +523,7 @@ def write_bands(
         trial.times, tuple(columns), np.column_stack(values), in_degrees=True
     )
     path = folder / f"{trial.name}_bands.sto"
-    write_table(path, table, _titled("Bands of 95 %", mark))
+    write_table(path, table, titled("Bands of 95 %", mark))
 
 
 _SOURCES = ("solution", "measured", "uncalibrated", "before", "after")

@@ -5,6 +5,7 @@ the moment M_y = z F_x - x F_z about the laboratory's origin at z = 0; the
 centre of pressure is CoP_x = -M_y / F_z.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -171,6 +172,33 @@ class PlanarWrench:
     def cut(self, rows) -> "PlanarWrench":
         """Some of its samples."""
         return PlanarWrench(self.force[rows], self.moment[rows])
+
+
+def external_loads(
+    wrenches: Mapping[str, PlanarWrench], share: float = 1.0
+) -> tuple[list[str], np.ndarray]:
+    """Wrenches as OpenSim's external loads have them, in its axes.
+
+    They act on the ground below the centre of pressure; where that means
+    nothing, at the origin, with the moment as a free one.
+
+    Args:
+        wrenches: end of the columns' names, such as "_r" -> wrench (N,).
+        share: of force and moment.
+
+    Returns:
+        Names of columns, and their values (N, 9 for each wrench).
+    """
+    names, values = [], []
+    for end, wrench in wrenches.items():
+        names += [f"ground_force{end}_{k}{a}" for k in "vp" for a in "xyz"]
+        names += [f"ground_torque{end}_{a}" for a in "xyz"]
+        F_x, F_z = share * wrench.force.T
+        cop, zero = np.nan_to_num(wrench.cop_x), np.zeros_like(F_x)
+        # About y (left) in the plane, so about -z (right) there.
+        free = np.where(wrench.is_loaded, 0.0, -share * wrench.moment)
+        values += [F_x, F_z, zero, cop, zero, zero, zero, zero, free]
+    return names, np.column_stack(values)
 
 
 def spatial_wrench(plate: PlateRecording, frame: SagittalFrame) -> np.ndarray:

@@ -24,6 +24,7 @@ from drake_exo.calibration.results import (
     read_calibration,
     read_model,
     read_trial,
+    titled,
 )
 from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.hunt_crossley import SimbodyConstants, sphere_wrench
@@ -32,8 +33,9 @@ from drake_exo.errors import InputError
 from drake_exo.files import osim as xml
 from drake_exo.files.opensim import write_table
 from drake_exo.files.osim import OsimModel, Pose, read_osim
-from drake_exo.files.output import read_json, stored
+from drake_exo.files.output import Verdict, read_json, stored
 from drake_exo.files.tables import Table
+from drake_exo.measurement.sagittal import external_loads
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import Person
 from drake_exo.model.osim_person import (
@@ -326,7 +328,13 @@ def _couple(osim: OsimModel, q, v) -> None:
 
 
 def write_states(
-    path: Path, osim: OsimModel, trial: Trial, q, v, energies: list[str]
+    path: Path,
+    osim: OsimModel,
+    trial: Trial,
+    q,
+    v,
+    energies: list[str],
+    mark: str = "",
 ) -> None:
     """States as OpenSim names them; coordinates that do not move are zero.
 
@@ -344,32 +352,25 @@ def write_states(
     table = Table(
         trial.times, tuple(columns), np.column_stack(values), in_degrees=False
     )
-    write_table(path, table, f"States of {trial.name}", digits=17)
+    title = titled(f"States of {trial.name}", mark)
+    write_table(path, table, title, digits=17)
 
 
-def write_forces(path: Path, copies: Copies, trial: Trial) -> None:
+def write_forces(
+    path: Path, copies: Copies, trial: Trial, mark: str = ""
+) -> None:
     """Ground reaction of each foot, as OpenSim's external loads have it."""
-    columns, values = [], []
-    zero = np.zeros(len(trial.times))
-    feet = {
-        end: trial.soles["both" if not copies.who.sides else side]
-        for side, end in ENDS.items()
-    }
-    share = 1.0 if copies.who.sides else 0.5
-    for end, wrench in feet.items():
-        cop = np.nan_to_num(wrench.cop_x)
-        columns += [f"ground_force{end}_{k}{a}" for k in "vp" for a in "xyz"]
-        columns += [f"ground_torque{end}_{a}" for a in "xyz"]
-        force = share * wrench.force
-        # On the ground below the centre of pressure, and its free moment
-        # where that means nothing.
-        free = share * (wrench.moment + cop * wrench.force_z)
-        values += [force[:, 0], force[:, 1], zero, cop, zero, zero]
-        values += [zero, zero, -free]
-    table = Table(
-        trial.times, tuple(columns), np.column_stack(values), in_degrees=False
+    two = bool(copies.who.sides)
+    columns, values = external_loads(
+        {
+            end: trial.soles[side if two else "both"]
+            for side, end in ENDS.items()
+        },
+        1.0 if two else 0.5,
     )
-    write_table(path, table, f"Ground reaction of {trial.name}", digits=17)
+    table = Table(trial.times, tuple(columns), values, in_degrees=False)
+    title = titled(f"Ground reaction of {trial.name}", mark)
+    write_table(path, table, title, digits=17)
 
 
 def own_forces(copies: Copies, contact: ContactModel, trial: Trial):

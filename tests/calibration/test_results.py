@@ -20,7 +20,9 @@ from drake_exo.calibration.results import (
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.contact.parameters import ContactModel, Posterior
 from drake_exo.errors import InputError
+from drake_exo.files.opensim import read_plates
 from drake_exo.files.output import Check, Verdict, read_json
+from drake_exo.measurement.sagittal import PlanarWrench
 
 
 @pytest.fixture
@@ -134,6 +136,22 @@ def test_model_and_trials_survive_disk(in_device, predicted, tmp_path):
         )
     for name in ("times", "q", "v", "a", "moments", "jerk"):
         np.testing.assert_array_equal(getattr(back, name), getattr(found, name))
+
+
+def test_a_light_foots_moment_is_in_its_table(predicted, tmp_path):
+    """Below 20 N there is no centre of pressure, but a free moment."""
+    (found,) = predicted.trials
+    loaded = found.ground.array
+    for share in (1.0, 0.02):
+        light = replace(found, ground=PlanarWrench.of(share * loaded))
+        write_trial(tmp_path, light)
+        path = tmp_path / f"{found.name}_ground_reaction.sto"
+        _, (plate,) = read_plates(path)
+        moment = -plate.moment_about_origin()[:, 2]
+        np.testing.assert_allclose(moment, share * loaded[:, 2], atol=1e-6)
+        np.testing.assert_allclose(
+            plate.force[:, :2], share * loaded[:, :2], atol=1e-6
+        )
 
 
 _HELD = Verdict((Check("solved", True),))

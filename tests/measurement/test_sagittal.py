@@ -6,6 +6,7 @@ from drake_exo.measurement.recording import merge_plates
 from drake_exo.measurement.sagittal import (
     PlanarWrench,
     SagittalFrame,
+    external_loads,
     merge_feet,
     spatial_wrench,
 )
@@ -128,3 +129,19 @@ def test_a_wrench_is_its_array():
     wrench = PlanarWrench.of(array)
     np.testing.assert_array_equal(wrench.array, array)
     assert wrench.force.shape == (4, 2) and wrench.moment.shape == (4,)
+
+
+def test_external_loads_are_the_wrench():
+    """Force, point below the centre of pressure, free moment; y up, z right."""
+    wrench = PlanarWrench(np.array([[5.0, 700.0], [1, 15]]), np.array([-70, 3]))
+    names, values = external_loads({"_r": wrench, "_l": wrench}, 0.5)
+    assert names[:9] == [
+        *(f"ground_force_r_{k}{a}" for k in "vp" for a in "xyz"),
+        *(f"ground_torque_r_{a}" for a in "xyz"),
+    ]
+    assert names[9] == "ground_force_l_vx"
+    for one in (values[:, :9], values[:, 9:]):
+        assert one.tolist() == [
+            [2.5, 350, 0, 0.1, 0, 0, 0, 0, 0],
+            [0.5, 7.5, 0, 0, 0, 0, 0, 0, -1.5],
+        ]
