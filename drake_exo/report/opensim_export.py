@@ -493,14 +493,14 @@ class Export:
     difference_n: dict[str, float]
 
 
-def _contact(folder: Path, accept: Sequence[str]) -> ContactModel:
-    """Of a calibration, or of a prediction, that holds."""
+def _contact(folder: Path, accept: Sequence[str]) -> tuple[ContactModel, str]:
+    """Of a calibration, or of a prediction, that holds, and its mark."""
     found, path = read_calibration(folder), folder / "summary.json"
-    if found.origin is None and path.is_file():
-        verdict = stored(read_json(path, "run 'drake-exo predict' again"))
-        if verdict is not None:
-            return found.taken(verdict.failing, accept)
-    return found.taken([found.own_check], accept)
+    said, own = None, Verdict((found.own_check,))
+    if path.is_file():
+        said = stored(read_json(path, "run the command that wrote it again"))
+    asked = own if said is None or found.origin is not None else said
+    return found.taken(asked.failing, accept), (said or own).mark
 
 
 def export_opensim(
@@ -523,7 +523,7 @@ def export_opensim(
         InputError: something cannot be carried over, or is there already.
     """
     folder, out = Path(folder), Path(out)
-    contact, model = _contact(folder, accept), read_model(folder)
+    (contact, mark), model = _contact(folder, accept), read_model(folder)
     if contact.ground.law != "simbody":
         raise InputError(
             f"{folder}: its foot-ground law is {contact.ground.law!r}, which "
@@ -581,8 +581,8 @@ def export_opensim(
             f"/forceset/{e.get('name')}/dissipated_energy"
             for e in file.model.iterfind("ForceSet/objects/BushingForce")
         ]
-        write_states(states, written, trial, q, v, energies)
-        write_forces(forces, copies, trial)
+        write_states(states, written, trial, q, v, energies, mark)
+        write_forces(forces, copies, trial, mark)
         own = own_forces(copies, contact, trial)
         theirs = exported_forces(xml.OsimFile(out), written, q, v)
         off = max(np.abs(own[s] - theirs[s]).max() for s in own)
@@ -590,6 +590,7 @@ def export_opensim(
         for name, angle in turned_off(copies, q, trial).items():
             largest[name] = max(angle, largest.get(name, 0.0))
     lines = (
+        *([mark] if mark else []),
         *_said(copies, contact, mass, shift),
         *(
             f"coordinate {name!r} differs from the pin's angle by up to "

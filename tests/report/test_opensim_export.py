@@ -538,7 +538,18 @@ def test_the_command(case, capsys):
     said = capsys.readouterr().out
     assert "a: a foot's force by the exported numbers and states" in said
     assert str(out) in said
-    assert out.with_name("c_a_states.sto").is_file()
+    for what in ("states", "ground_forces"):
+        head = out.with_name(f"c_a_{what}.sto").read_text().splitlines()[0]
+        assert "DOES NOT HOLD: provenance.calibration" in head
+    assert said.startswith("DOES NOT HOLD: provenance.calibration")
+    # What failed is that of the results themselves.
+    found = {"checks": [asdict(off)], "accepted": ["audit"]}
+    write_json(one.folder / "summary.json", found)
+    assert main([*words, "--force", "--accept", "audit"]) == 0
+    assert "DOES NOT HOLD: audit\n" in capsys.readouterr().out
+    assert "(DOES NOT HOLD: audit)" in (
+        out.with_name("c_a_states.sto").read_text()
+    )
 
 
 @pytest.mark.parametrize("off", [5e-9, 2e-8, 1.0])
