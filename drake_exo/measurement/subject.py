@@ -87,19 +87,18 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     if who.osim is not None:
         height, sex = settings.subject.height_m, settings.subject.sex
         person = read_person(root / who.osim, who, height, sex)
-    standing = _quiet_part(
-        read_markers(root / settings.standing.markers, settings.filter),
-        settings.standing,
-    )
+    recorded = read_markers(root / settings.standing.markers, settings.filter)
     named, upright = settings.markers, None
     if named is None:
-        named, upright = model_markers(person, who, standing)
-    standing, gaps = fill_gaps(
-        standing,
-        [n for n in _all_names(named) if n in standing.names or not upright],
+        named, upright = model_markers(person, who, recorded)
+    filled, gaps = fill_gaps(
+        recorded,
+        [n for n in _all_names(named) if n in recorded.names or not upright],
         settings.laboratory.fill_gaps_s,
     )
-    gaps.check()
+    standing = _quiet_part(filled, settings.standing)
+    part = standing.time[0], standing.time[-1]
+    gaps.check(*part)
     device = settings.assembly.device
     welds = device.welds.values() if device else ()
     feet = [weld.to for weld in welds if weld.to.startswith("foot")]
@@ -127,7 +126,7 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     report: dict[str, Any] = {
         "stated_mass_kg": settings.subject.mass_kg,
         "standing_residual_rms_m": residual_rms(markers, poses),
-        "standing_gaps_filled": gaps.frames(-np.inf, np.inf),
+        "standing_gaps_filled": gaps.frames(*part),
         "ankle_height_m": markers.ankle_height_m,
         "lengths_m": dict(markers.lengths_m),
         "table_leg_m": _table_leg_m(settings),

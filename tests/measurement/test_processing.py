@@ -324,7 +324,7 @@ def test_refuses_slow_forces(files):
     assert "sts.mot" in message and "four times" in message
 
 
-def hide(folder, names, start, end):
+def hide(folder, names, start, end, file="sts.trc"):
     """Markers unseen in the frames from start to end."""
 
     def change(data):
@@ -332,7 +332,7 @@ def hide(folder, names, start, end):
             data.positions[start:end, data.names.index(name)] = np.nan
         return data
 
-    edit_markers(folder, change)
+    edit_markers(folder, change, file)
 
 
 @pytest.mark.slow
@@ -381,6 +381,20 @@ def test_fills_gaps_up_to_the_stated_length(files, loaded):
     assert trials[1].provenance["gaps_filled"] == {}
     change = np.abs(trials[0].q - loaded[1][0].q)
     assert 0.0 < change.max() < 5e-4
+
+
+def test_a_gap_across_the_edge_of_the_quiet_part_is_filled(files):
+    folder, study = files
+    part = replace(study.standing, start_s=0.4, end_s=0.8)
+    lax = replace(study.laboratory, fill_gaps_s=0.2)
+    lax = replace(study, standing=part, laboratory=lax)
+    hide(folder, ["L_kne"], 35, 45, "static.trc")
+    hide(folder, ["R_kne"], 0, 30, "static.trc")
+    report = fit_subject(lax, folder).report
+    assert report["standing_gaps_filled"] == {"L_kne": 5}
+    hide(folder, ["L_kne"], 15, 45, "static.trc")
+    with pytest.raises(InputError, match="'L_kne' in 30 frames"):
+        fit_subject(lax, folder)
 
 
 def test_gaps_outside_the_used_part_do_no_harm(files, loaded):
