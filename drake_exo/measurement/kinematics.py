@@ -684,6 +684,7 @@ def wrenches(
     time: np.ndarray,
     q: np.ndarray,
     recorded: MarkerData,
+    lag_s: float,
 ) -> dict[str, PlanarWrench]:
     """Segment -> wrench (n,) of all that it bears.
 
@@ -695,6 +696,7 @@ def wrenches(
         time: (n,) of the recording [s].
         q: (n, nq) filtered motion.
         recorded: its markers.
+        lag_s: of the plates' clock behind the markers'.
 
     Raises:
         InputError: markers or forces are missing, or do not cover it; a load
@@ -710,7 +712,7 @@ def wrenches(
                 "carried; correct from_s and to_s of loads"
             )
         if load.forces is not None:
-            wrench = _of_file(load, settings, root, time)
+            wrench = _of_file(load, settings, root, time, lag_s)
         else:
             place = _place(load, settings, tree, time, q, recorded)
             wrench = carried(load, time, place, settings.gravity_m_s2)
@@ -736,11 +738,11 @@ def _place(load, settings, tree, time, q, recorded) -> np.ndarray:
     return smooth[first : first + len(time)]
 
 
-def _of_file(load, settings, root, time) -> PlanarWrench:
+def _of_file(load, settings, root, time, lag_s) -> PlanarWrench:
     path, laboratory = root / load.forces, settings.laboratory
     forces = read_foot_forces(
         path, Plates(both=load.plate), laboratory, settings.filter, loaded=False
-    ).delayed(laboratory.force_delay_s)
+    ).delayed(lag_s)
     step = 1.0 / forces.rate_hz
     if forces.time[0] > time[0] + step or forces.time[-1] < time[-1] - step:
         raise InputError(

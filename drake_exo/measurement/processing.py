@@ -124,6 +124,20 @@ class Motion:
     leaps: tuple[MarkerFault, ...] = ()
     standstills: tuple[MarkerFault, ...] = ()
 
+    def cut(self, rows: slice) -> "Motion":
+        """Some of its samples; what is told of the markers stays."""
+        one = ("time", "q", "v", "a", "hip_z", "known")
+        several = ("ankles", "legs", "feet")
+        return replace(
+            self,
+            **{name: getattr(self, name)[rows] for name in one},
+            **{
+                name: {side: x[rows] for side, x in getattr(self, name).items()}
+                for name in several
+            },
+            applied={body: w.cut(rows) for body, w in self.applied.items()},
+        )
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -288,19 +302,40 @@ def process(
     forces = read_feet(files, laboratory, low_pass_filter, root)
     on_time = forces.delayed(laboratory.force_delay_s)
     time = common_time(markers, on_time, low_pass_filter)
-    motion = _follow(markers, gaps, time, subject, settings)
-    applied = wrenches(
-        files, settings, root, model.rigid.tree, time, motion.q, recorded
-    )
     motion = replace(
-        motion, without=without, absent=absent, applied=applied,
+        _follow(markers, gaps, time, subject, settings),
+        without=without, absent=absent,
         leaps=leaps(recorded, followed.names, LEAST_LEAP_M_S),
         standstills=standstills(seen, followed.by_segment()),
     )  # fmt: skip
-    force_clock = _force_clock(
-        motion, forces.filtered(low_pass_filter), model.rigid, laboratory
-    )
-    forces = forces.delayed(force_clock.lag_s)
+
+    def applied(motion: Motion, lag_s: float, of: TrialFiles = files):
+        return wrenches(
+            of, settings, root, model.rigid.tree, motion.time, motion.q,
+            recorded, lag_s,
+        )  # fmt: skip
+
+    force_clock = Clock(laboratory.force_delay_s)
+    motion = replace(motion, applied=applied(motion, force_clock.lag_s))
+    if laboratory.estimate_force_delay:
+        pulls = tuple(x for x in files.loads if x.forces is not None)
+        found = applied(motion, force_clock.lag_s, replace(files, loads=pulls))
+        late = _force_delay(
+            motion,
+            on_time.filtered(low_pass_filter),
+            model.rigid,
+            laboratory,
+            sum(wrench.force_z for wrench in found.values()),
+        )
+        force_clock = Clock(force_clock.lag_s + late, _said(late, laboratory))
+        # They begin and end elsewhere now.
+        on_time = forces.delayed(force_clock.lag_s)
+        frames = replace(markers, time=time)
+        time = common_time(frames, on_time, low_pass_filter)
+        first = np.searchsorted(motion.time, time[0] - 1e-9)
+        motion = motion.cut(slice(first, first + len(time)))
+        motion = replace(motion, applied=applied(motion, force_clock.lag_s))
+    forces = on_time
     stood = {
         side: contacts(forces.time, wrench.force_z)
         for side, wrench in forces.wrenches.items()
@@ -423,24 +458,22 @@ def _rises(motion, feet, chair, forces, rigid: Model) -> list[Rise]:
     return find_rises(motion.time, motion.hip_z, on_chair, F_z, weight)
 
 
-def _force_clock(motion, forces: FootForces, rigid: Model, laboratory) -> Clock:
-    """Clock of the plates."""
-    lag, said = laboratory.force_delay_s, None
-    if laboratory.estimate_force_delay:
-        late = _force_delay(motion, forces.delayed(lag), rigid, laboratory)
-        lag, said = lag + late, _said(late, laboratory)
-    return Clock(lag, said)
+def _force_delay(
+    motion, forces: FootForces, rigid: Model, laboratory, pulled=0.0
+) -> float:
+    """Lag of the forces, from the rises (or from all loaded frames).
 
-
-def _force_delay(motion, forces: FootForces, rigid: Model, laboratory) -> float:
-    """Lag of the forces, from the rises (or from all loaded frames)."""
+    `pulled` (N,) is the vertical force of loads that have their clock.
+    """
     time = motion.time
     feet, chair = forces.at(time), forces.chair_at(time)
     needed, F_z = needed_force(rigid, motion), forces.total(feet)
     reach = laboratory.largest_delay_s
     if chair is not None:  # together they bear the body all the time
         total = F_z + chair.force_z
-        return force_delay(time, needed, total, motion.known, reach)
+        return force_delay(
+            time, needed + pulled, total + pulled, motion.known, reach
+        )
     rises = _rises(motion, feet, chair, forces, rigid)
     used = np.zeros(len(time), bool)
     for rise in rises:
@@ -454,7 +487,7 @@ def _force_delay(motion, forces: FootForces, rigid: Model, laboratory) -> float:
             f"body weighs {rigid.tree.weight:.0f} N; check plates and the unit "
             "of force (N, not kN), or do not estimate_force_delay"
         )
-    return force_delay(time, needed, F_z, used, reach)
+    return force_delay(time, needed + pulled, F_z + pulled, used, reach)
 
 
 def _said(late: float, laboratory) -> str:

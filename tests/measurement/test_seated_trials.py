@@ -12,15 +12,18 @@ from synthetic_recording import RATE, SEAT_OFF, load
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table, write_table
 from drake_exo.measurement.events import until_seat_off
+from drake_exo.measurement.processing import process
 from drake_exo.measurement.quality import assess, force_residual, text_of
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import (
     Device,
+    Load,
     Mat,
     Plates,
     PressureFile,
     TrialFiles,
 )
+from drake_exo.measurement.subject import fit_subject
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.segments import scale_human
 
@@ -245,6 +248,36 @@ def test_a_late_force_clock_is_found_by_feet_and_chair(files):
     assert trial.provenance["delays_s"]["forces"] == pytest.approx(
         0.013, abs=0.002
     )
+
+
+def test_a_lag_that_is_found_is_that_of_all_forces(files):
+    """Of a handle's, too, and what ends before the markers is not held."""
+    folder, study = files
+    table = read_table(folder / "sts.mot")
+    share = np.array([n.startswith("ground_force_1_v") for n in table.names])
+    late, end = table.time + 0.1, table.time[-1]
+    for name, factor in (("sts", 1.0 - 0.4 * share), ("handle", 0.4 * share)):
+        one = replace(table, time=late, values=factor * table.values)
+        rows = late <= end
+        one = replace(one, time=late[rows], values=one.values[rows])
+        write_table(folder / f"{name}.mot", one)
+    loads = (Load("pelvis", forces=Path("handle.mot"), plate=1),)
+    study = with_laboratory(
+        with_trial(study, loads=loads),
+        estimate_force_delay=True,
+        largest_delay_s=0.2,
+    )
+    subject = fit_subject(study, folder)
+    found = process(study.trials[0], subject, study, folder)
+    lag = found.clocks["forces"].lag_s
+    assert lag == pytest.approx(0.1, abs=0.002)
+    time = found.motion.time
+    assert end - lag - 0.011 < time[-1] <= found.forces.time[-1] + 1e-9
+    for one in (found.motion.q, found.motion.legs["left"], found.chair.moment):
+        assert len(one) == len(time)
+    handle = found.motion.applied["pelvis"].force_z
+    foot = found.feet["right"].force_z
+    np.testing.assert_allclose(handle, foot * 0.4 / 0.6, atol=1e-6)
 
 
 def pressure_csv(path, cells, end=9.0):
