@@ -374,10 +374,13 @@ def uniform_time(
     if rate_hz and abs(usual * rate_hz - 1.0) > 0.2:
         raise _wrong_rate(source, rate_hz, usual)
     step = (time[-1] - time[0]) / (n - 1)
-    # Stamps rounded to milliseconds must not stretch the grid.
-    if rate_hz and abs(step * rate_hz - 1.0) < 0.5 / max(n - 1, 2):
-        step = 1.0 / rate_hz
     grid = time[0] + step * np.arange(n)
+    # Stamps rounded to milliseconds must not stretch the grid; what they are
+    # off on average is a quarter of that.
+    rounding = 4.0 * np.abs(time - grid).mean() + 1e-9
+    if rate_hz and abs(step - 1.0 / rate_hz) * (n - 1) < rounding:
+        step = 1.0 / rate_hz
+        grid = time[0] + step * np.arange(n)
     off = np.abs(time - grid)
     if off.max() > _JITTER * step:
         worst = int(np.argmax(off))
