@@ -29,7 +29,7 @@ def read_markers_csv(path: str | Path) -> MarkerData:
         InputError: another format, unknown unit, truncated or damaged rows,
             or time that does not increase.
     """
-    rows = _rows(path)
+    lines, rows = _rows(path)
     head = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
     if "Format Version" not in head or "Length Units" not in head:
         raise InputError(
@@ -56,7 +56,7 @@ def read_markers_csv(path: str | Path) -> MarkerData:
             f"{path}: has no markers with X, Y and Z; export markers' "
             "positions, each with a name of its own"
         )
-    values = _values(path, rows, start + 1, len(rows[start]))
+    values = _values(path, lines, rows, start + 1, len(rows[start]))
     check_increasing(str(path), values[:, 1])
     positions = np.stack([values[:, c] for c in columns.values()], axis=1)
     _check_total(path, head.get("Total Exported Frames"), len(values))
@@ -86,7 +86,7 @@ def read_plate_csv(path: str | Path) -> tuple[np.ndarray, PlateRecording]:
         InputError: another format, no corners, truncated or damaged rows,
             or time that does not increase.
     """
-    rows = _rows(path)
+    lines, rows = _rows(path)
     start = _find(path, rows, "MocapFrame")
     head = {r[0].strip(): r[1] for r in rows[:start] if len(r) > 1}
     if (space := head.get("Coordinate Space", "Local").strip()) != "Local":
@@ -101,7 +101,7 @@ def read_plate_csv(path: str | Path) -> tuple[np.ndarray, PlateRecording]:
                 f"{path}: has no column {name!r}; export the plate's force "
                 "and moment"
             )
-    values = _values(path, rows, start + 1, len(names))
+    values = _values(path, lines, rows, start + 1, len(names))
     check_increasing(str(path), values[:, names.index("MocapTime")])
     _check_total(path, head.get("Total Exported Frames"), len(values))
     signals = values[:, [names.index(c) for c in _CHANNELS]]
@@ -127,12 +127,14 @@ def read_plate_csv(path: str | Path) -> tuple[np.ndarray, PlateRecording]:
     return values[first:, names.index("MocapTime")], plate
 
 
-def _rows(path) -> list[list[str]]:
-    text = read_text(path)
-    rows = [row for row in csv.reader(text.splitlines()) if any(row)]
-    if not rows:
+def _rows(path) -> tuple[list[int], list[list[str]]]:
+    """Cells of the lines that are not blank, and the lines' numbers."""
+    reader = csv.reader(read_text(path).splitlines())
+    found = [(reader.line_num, row) for row in reader if any(row)]
+    if not found:
         raise InputError(f"{path}: is empty; export it again")
-    return rows
+    lines, rows = map(list, zip(*found, strict=True))
+    return lines, rows
 
 
 def _find(path, rows, first: str) -> int:
@@ -155,9 +157,10 @@ def _label_rows(path, rows) -> tuple[list[str], list[str]]:
     return labels[0][2:], labels[1][2:]
 
 
-def _values(path, rows, start: int, width: int) -> np.ndarray:
+def _values(path, lines, rows, start: int, width: int) -> np.ndarray:
     """Rows of numbers (N, width); empty cells are gaps."""
-    return number_rows(path, enumerate(rows[start:], start + 1), width)
+    numbered = zip(lines[start:], rows[start:], strict=True)
+    return number_rows(path, numbered, width)
 
 
 def _check_total(path, text: str | None, count: int) -> None:

@@ -112,20 +112,21 @@ def read_pressure_csv(
         InputError: as `read_novel_asc`; or the file has another number of
             cells than the mats.
     """
-    lines = [s for s in read_text(path).splitlines() if s.strip()]
-    if len(lines) < 3:
+    lines = read_text(path).splitlines()
+    used = [i for i, line in enumerate(lines) if line.strip()]
+    if len(used) < 3:
         raise InputError(f"{path}: holds fewer than two frames of pressure")
-    first = lines[0].split(",")[0]
+    head = lines[used[0]].split(",")
+    first = head[0]
     scale = _unit(path, first)
     time = re.match(r"\s*time\s*\[\s*(m?s)\s*\]", first, re.IGNORECASE)
     if not time:
         raise InputError(
-            f"{path}:1: the first column must begin with 'time [s]' or "
-            f"'time [ms]', but is {shown(first)!r}"
+            f"{path}:{used[0] + 1}: the first column must begin with "
+            f"'time [s]' or 'time [ms]', but is {shown(first)!r}"
         )
-    width = len(lines[0].split(","))
-    groups = split(path, width - 1, mats)
-    values = _table(path, lines, 1, width, ",")
+    groups = split(path, len(head) - 1, mats)
+    values = _table(path, lines, used[1], len(head), ",")
     values[:, 0] *= UNITS[time[1].lower()]
     check_increasing(str(path), values[:, 0])
     return _recording(path, values, scale, groups)

@@ -199,9 +199,9 @@ def _along(line: np.ndarray, share: np.ndarray) -> np.ndarray:
 
 def _read_cells(path: Path, rows: int, columns: int) -> np.ndarray:
     """Cells' places, in the order of the mat, from "row, column, x, y, z"."""
-    lines = read_text(path).splitlines()
-    cells = [line.split(",") for line in lines[1:] if line.strip()]
-    table = number_rows(path, list(enumerate(cells, 2)), 5)
+    lines = list(enumerate(read_text(path).splitlines(), 1))
+    cells = [(i, line.split(",")) for i, line in lines[1:] if line.strip()]
+    table = number_rows(path, cells, 5)
     wanted = [(r, c) for r in range(rows) for c in range(columns)]
     found = {}
     if (np.abs(table) < 1e6).all():

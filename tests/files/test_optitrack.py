@@ -104,7 +104,9 @@ def test_plate_acts_on_the_body(tmp_path):
             "Coordinate Space is 'Global'",
         ),
         (read_plate_csv, plate().replace(" Fz", " Fq"), "no column 'Fz'"),
-        (read_plate_csv, plate().replace("700", "7oo"), "text among numbers"),
+        # Blank lines before count, too.
+        (read_plate_csv, plate().replace("700", "7oo"), "csv:19: holds text"),
+        (read_markers_csv, markers().replace("9.1", "x"), ":17: holds text"),
         (read_plate_csv, plate()[:-12], "truncated"),
         (read_plate_csv, plate().replace("MocapFrame", "Frame"), "MocapFra"),
         (read_plate_csv, plate().replace("3,0.06", "3,0.04"), "not increase"),

@@ -138,6 +138,8 @@ def test_csv_of_several_mats(tmp_path):
         (csv(time="time"), "must begin with 'time [s]' or 'time [ms]'"),
         (csv(time="time [min]"), "must begin with 'time [s]'"),
         (csv()[:-6], "truncated"),
+        ("\n" + csv().replace("0.04", "\nx"), "p.csv:6: holds text"),
+        ("\n" + csv(time="t"), "p.csv:2: the first column must"),
         (csv()[:54], "fewer than two frames"),
     ],
 )
