@@ -299,7 +299,7 @@ def changed_text(path: Path, cls: type, changes: Mapping[str, Any]) -> str:
 
 
 def _index(place, part: str):
-    return int(part) if isinstance(place, list) and part.isdigit() else part
+    return int(part) if isinstance(place, list) and part.isdecimal() else part
 
 
 def _step(path: Path, key: str, place, part: str):
@@ -348,7 +348,7 @@ def check_key(cls: type, key: str) -> None:
                 found += [own[part]] if part in names else []
             elif typing.get_origin(hint) is dict or hint in (dict, Any):
                 found.append((*typing.get_args(hint), Any)[-1])
-            elif part.isdigit():
+            elif part.isdecimal():
                 found += [a for a in typing.get_args(hint) if a is not ...]
         if not found:
             raise InputError(

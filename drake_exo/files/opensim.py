@@ -149,7 +149,7 @@ def plates_of(table: Table) -> list[PlateRecording]:
     labels = list(columns)
     # "ground_force_2_vx" is plate 2; "1_ground_force_vx" beside
     # "ground_force_vx" is OpenSim's second plate.
-    numbered = all(label.isdigit() and label != "0" for label in labels)
+    numbered = all(label.isdecimal() and label != "0" for label in labels)
     return [
         _plate(table, int(label) if numbered else i + 1, label, columns[label])
         for i, label in enumerate(labels)
@@ -265,7 +265,7 @@ def _length_unit(path, unit: str | None) -> float:
 
 def _check_count(path, text: str | None, count: int, key, what) -> None:
     """A file with fewer rows than it announces was cut off."""
-    if text is not None and text.isdigit() and int(text) != count:
+    if text is not None and text.isdecimal() and int(text) != count:
         raise InputError(
             f"{path}: the header says {key}={text}, but there are {count} "
             f"{what}; the file is truncated or its header wrong"
@@ -274,7 +274,7 @@ def _check_count(path, text: str | None, count: int, key, what) -> None:
 
 def _is_cut_out(announced: str | None, frames: np.ndarray) -> bool:
     """Whether these are later frames (n,) of a recording announced whole."""
-    if announced is None or not announced.isdigit():
+    if announced is None or not announced.isdecimal():
         return False
     return len(frames) > 0 and frames[0] > 1 and frames[-1] < int(announced)
 

@@ -164,7 +164,7 @@ def _values(path, lines, rows, start: int, width: int) -> np.ndarray:
 
 
 def _check_total(path, text: str | None, count: int) -> None:
-    if text and text.strip().isdigit() and int(text) != count:
+    if text and text.strip().isdecimal() and int(text) != count:
         raise InputError(
             f"{path}: says {int(text)} exported frames, but holds {count}; "
             "the file is truncated"

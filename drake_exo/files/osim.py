@@ -270,7 +270,7 @@ def read_osim(path: str | Path) -> OsimModel:
         raise InputError(
             f"{path}: holds no OpenSim model; give a scaled .osim file"
         )
-    if not (root.get("Version") or "0").isdigit() or (
+    if not (root.get("Version") or "0").isdecimal() or (
         int(root.get("Version") or 0) < 40000
     ):
         raise InputError(

@@ -226,6 +226,9 @@ def test_plate_numbers_follow_the_columns():
     plates = plates_of(table(names))
     assert [p.number for p in plates] == [3, 7]
     assert not plates[0].torque.any()
+    # A digit, but no number.
+    (plate,) = plates_of(table([n.replace("7", "²") for n in names[6:]]))
+    assert plate.number == 1
 
 
 def test_missing_plate_component_is_named():
