@@ -53,8 +53,7 @@ def fixed(given) -> np.ndarray:
     >>> fixed([1, 2]).flags.writeable
     False
     """
-    is_array = isinstance(given, np.ndarray)
-    array = given.view() if is_array else np.array(given, dtype=float)
+    array = np.asarray(given, dtype=float).view()
     array.flags.writeable = False
     return array
 

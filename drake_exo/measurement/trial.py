@@ -137,8 +137,7 @@ class Trial:
                         f"trial {self.name}: {name} holds no real numbers; "
                         "give an array of them"
                     )
-                numbers = fixed(numbers.astype(float, copy=False))
-                object.__setattr__(self, name, numbers)
+                object.__setattr__(self, name, fixed(numbers))
         columns = {
             **dict.fromkeys(("q", "v", "a", "jerk"), len(self.coordinates)),
             "moments": self.coordinates.num_joints,

@@ -255,10 +255,14 @@ def test_arrays_are_real_numbers_whatever_they_are_given_as(trial, tmp_path):
     given = replace(
         trial, times=trial.times.tolist(), q=trial.q.astype(np.float32)
     )
+    whole = np.full(len(trial.times), 12)
+    standing = PlanarWrench(np.column_stack([0 * whole, whole]), -whole)
+    given = replace(given, cuffs={"thigh": CuffForce(whole)}, ground=standing)
     given.save(tmp_path / "it")
-    np.testing.assert_allclose(
-        Trial.load(tmp_path / "it").q, trial.q, atol=1e-6
-    )
+    again = Trial.load(tmp_path / "it")
+    np.testing.assert_allclose(again.q, trial.q, atol=1e-6)
+    np.testing.assert_array_equal(again.cuff("thigh").normal, whole)
+    np.testing.assert_array_equal(again.ground.array, standing.array)
     with pytest.raises(InputError, match="q holds no real numbers"):
         replace(trial, q=trial.q + 1j)
     assert CuffForce([1.0, 2.0]).normal.shape == (2,)
