@@ -678,7 +678,9 @@ class Calibration(_Solved):
         return summary
 
 
-_SIGNALS = frozenset(("q", "v", "a", "ground", "moments", "cuffs", "jerk"))
+_SIGNALS = frozenset(
+    ("q", "v", "a", "ground", "feet", "moments", "cuffs", "jerk")
+)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -197,6 +197,7 @@ def test_a_failed_solve_is_sealed_until_it_is_unsealed(study, made):
     for read in (
         lambda: found.coordinate("hip"),
         lambda: found.ground,
+        lambda: found.feet,
         lambda: found.rmsd(made.trials[0]),
     ):
         with pytest.raises(dx.SealedSolutionError):
