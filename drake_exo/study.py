@@ -461,7 +461,7 @@ class _Solved:
         return self.result.success
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Calibration(_Solved):
     """What Phase A or B found; see `calibrate_foot_ground`.
 
@@ -683,7 +683,7 @@ _SIGNALS = frozenset(
 )
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Prediction(_Solved, Trial):
     """A predicted trial: see Trial for its signals.
 

@@ -180,6 +180,8 @@ def test_stiffer_cuffs_predict_another_interaction(found, study, cuffs):
         assert bushings[cuff] == bushing.scaled(1.4)
     change = stiff.cuff("thigh").normal - found.cuff("thigh").normal
     assert np.abs(change).max() > 1.0
+    assert [found, stiff].index(stiff) == 1
+    assert len({found, stiff, cuffs}) == 3
 
 
 def test_without_a_device_there_is_no_interaction():
