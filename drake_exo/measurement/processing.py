@@ -353,7 +353,8 @@ def process(
         angles, moments, encoder_clock = _device(files, model, settings, root)
         if encoder_clock is not None:
             clocks["encoders"] = encoder_clock
-    mats = read_mat_forces(files.pressure, settings.mats, root, low_pass_filter)
+    worn = files.pressure if model.cuffs else ()
+    mats = read_mat_forces(worn, settings.mats, root, low_pass_filter)
     if mats:
         lag = laboratory.pressure_delay_s
         clocks["pressure"] = _to_find(lag, laboratory.estimate_pressure_delay)

@@ -311,6 +311,8 @@ def test_mats_push_by_segment_and_one_leg_counts_twice(files):
     np.testing.assert_allclose(one.cuff("thigh").normal, -24.0, rtol=1e-6)
     report = text_of(assess(subject, (one,)))
     assert "left leg measured, doubled" in report
+    _, (bare,) = load(replace(with_mat(study), model="human"), folder)
+    assert bare.cuffs == {} and "pressure" not in bare.provenance["delays_s"]
 
 
 @pytest.mark.slow
