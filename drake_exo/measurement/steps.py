@@ -94,7 +94,8 @@ def recorded_step(
         trial: its name.
         foot: whose step.
         start, end: events, or times [s] on the markers' clock.
-        number: which of the contacts that have both, from 0.
+        number: which of the contacts that have both, from 0; a part that
+            holds two is none.
         least_force_n: of a contact [N].
 
     Raises:
@@ -127,8 +128,7 @@ def recorded_step(
     time = time - lab.force_delay_s
     found = contacts(time, sum(each)[:, 2], least_force_n)
     contact = _chosen(found, start, end, number, where)
-    first = contact.start_s if isinstance(start, str) else start
-    last = contact.end_s if isinstance(end, str) else end
+    first, last = _part(contact, start, end)
     used = _one_plate(time, each, (first, last), files.plates.of(foot), where)
     height = _surface(plates[used], each[used], frame)
     markers = _foot_markers(settings, root, files, foot, contact)
@@ -159,20 +159,29 @@ def _trial(settings: RecordingSettings, name: str) -> TrialFiles:
     return settings.trials[names.index(name)]
 
 
+def _part(contact: Contact, start: Begin, end: End) -> tuple[float, float]:
+    """From when to when a step is that of a contact [s]."""
+    first = contact.start_s if isinstance(start, str) else start
+    return first, contact.end_s if isinstance(end, str) else end
+
+
 def _chosen(every, start, end, number, where) -> Contact:
-    fitting = [
-        c
-        for c in every
-        if (c.begins if isinstance(start, str) else start < c.end_s)
-        and (c.ends if isinstance(end, str) else end > c.start_s)
-    ]
+    def is_whole(c):
+        begins = c.begins or not isinstance(start, str)
+        return begins and (c.ends or not isinstance(end, str))
+
+    def met(c):  # with two, the foot was in the air between
+        first, last = _part(c, start, end)
+        return [k for k in every if k.start_s < last and k.end_s > first]
+
+    fitting = [c for c in every if is_whole(c) and met(c) == [c]]
     if number < len(fitting):
         return fitting[number]
     found = "; ".join(map(str, every)) or "none"
     raise InputError(
         f"{where}: there is no step {number} (counted from 0) from {start} to "
         f"{end}; contacts found: {found}; name another trial or foot, or give "
-        "from and to as times [s]"
+        "from and to as times within one of them [s]"
     )
 
 

@@ -10,9 +10,11 @@ from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.opensim import read_plates, write_trc
 from drake_exo.files.tables import MarkerData
+from drake_exo.measurement.events import Contact
 from drake_exo.measurement.filters import minimum_jerk
 from drake_exo.measurement.steps import (
     _at_frames,
+    _chosen,
     _cop,
     _ends,
     _flat,
@@ -214,6 +216,30 @@ def test_part_of_a_step_by_its_times(tmp_path):
     np.testing.assert_array_equal(inner.times, step.times)
     again = read_study(tmp_path / "study.yaml").step("walk", "left", 0.5, 0.7)
     np.testing.assert_array_equal(again.cop, step.cop)
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "number", "chosen"),
+    [
+        ("heel_strike", 2.2, 0, 1),
+        (1.8, "toe_off", 0, 1),
+        (2.3, "toe_off", 0, 2),
+        (0.4, 0.5, 0, 0),
+        ("heel_strike", "toe_off", 2, 2),
+        (0.4, "toe_off", 1, None),
+        (0.8, 2.0, 0, None),
+    ],
+)
+def test_a_part_is_of_one_contact(start, end, number, chosen):
+    """The foot is in the air between two: no step goes on there."""
+    times = (0.3, 1.0), (1.7, 2.25), (2.7, 3.3)
+    every = [Contact(*at, True, True) for at in times]
+    if chosen is None:
+        with pytest.raises(InputError, match="times within one of them"):
+            _chosen(every, start, end, number, "walk")
+    else:
+        found = _chosen(every, start, end, number, "walk")
+        assert found is every[chosen]
 
 
 BAD = {
