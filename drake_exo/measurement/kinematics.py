@@ -725,12 +725,9 @@ def wrenches(
 def _place(load, settings, tree, time, q, recorded) -> np.ndarray:
     if load.at_m is not None:
         return tree.point_positions(q, load.body, load.at_m)
-    filled, gaps = fill_gaps(
+    filled, _ = fill_gaps(
         recorded, load.markers, settings.laboratory.fill_gaps_s
     )
-    start = -np.inf if load.from_s is None else load.from_s
-    end = np.inf if load.to_s is None else load.to_s + load.over_s
-    gaps.check(start, end)
     frame = settings.laboratory.marker_axes.frame
     middle = frame.points(filled.of(load.markers)).mean(axis=1)
     smooth = settings.filter.smooth(middle, recorded.rate_hz, recorded.source)

@@ -103,6 +103,7 @@ class Motion:
         without: markers that are hidden for too long, and left out.
         absent: markers of an OpenSim model that the file does not have.
         applied: segment -> wrench (N,) of what it carries.
+        load_gaps: of the markers on each load of the trial.
         leaps: of the markers, see `filters.leaps` [m/s].
         standstills: see `filters.standstills` [m].
     """
@@ -121,6 +122,7 @@ class Motion:
     without: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()
     applied: dict[str, PlanarWrench] = field(default_factory=dict)
+    load_gaps: tuple[Gaps, ...] = ()
     leaps: tuple[MarkerFault, ...] = ()
     standstills: tuple[MarkerFault, ...] = ()
 
@@ -302,9 +304,13 @@ def process(
     forces = read_feet(files, laboratory, low_pass_filter, root)
     on_time = forces.delayed(laboratory.force_delay_s)
     time = common_time(markers, on_time, low_pass_filter)
+    load_gaps = tuple(
+        fill_gaps(recorded, load.markers, laboratory.fill_gaps_s)[1]
+        for load in files.loads
+    )
     motion = replace(
         _follow(markers, gaps, time, subject, settings),
-        without=without, absent=absent,
+        without=without, absent=absent, load_gaps=load_gaps,
         leaps=leaps(recorded, followed.names, LEAST_LEAP_M_S),
         standstills=standstills(seen, followed.by_segment()),
     )  # fmt: skip
@@ -534,11 +540,16 @@ def cut(
 
     Raises:
         InputError: no such rise, a part outside the recording or too short
-            for the filter, or encoders, moments or mats that do not cover it.
+            for the filter, encoders, moments or mats that do not cover it, or
+            a load whose markers are hidden in it.
     """
     motion = recording.motion
     start, end, how = _bounds(files, recording)
     inside = between(motion.time, start, end)
+    reach = settings.filter.reach_s
+    for load, gaps in zip(files.loads, motion.load_gaps, strict=True):
+        lifted, put_down = load.carried_s
+        gaps.check(max(start, lifted) - reach, min(end, put_down) + reach)
     if inside.sum() < 2:
         raise InputError(
             f"trial {files.name}: {start:g} to {end:g} s holds no part of "

@@ -528,6 +528,13 @@ class Load:
                 f"to_s ({self.to_s:g}) must be after from_s ({start:g})"
             )
 
+    @property
+    def carried_s(self) -> tuple[float, float]:
+        """From when to when it is borne at all [s]."""
+        start = -np.inf if self.from_s is None else self.from_s
+        end = np.inf if self.to_s is None else self.to_s + self.over_s
+        return start, end
+
 
 @dataclass(frozen=True)
 class TrialFiles:

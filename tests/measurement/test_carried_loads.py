@@ -135,17 +135,24 @@ def test_markers_carry_the_mass(tmp_path):
     subject, (trial,) = load_study(with_loads(tmp_path, load), tmp_path)
     place = POINTS["pelvis"][name.split("_")[-1]]
     check_impulse(subject.model.tree, trial, place, 0.01)
-    # Whether it is seen matters while it is carried.
+    # Whether it is seen matters in the used part, while it is carried.
     data = read_trc(tmp_path / "sts.trc")
-    data.positions[5:45, data.names.index(name)] = np.nan
-    write_trc(tmp_path / "sts.trc", data)
-    later = with_loads(tmp_path, load | {"from_s": 0.6})
-    (again,) = load_study(later, tmp_path)[1]
+    column = data.names.index(name)
+
+    def hide(frames):
+        data.positions[frames, column] = np.nan
+        write_trc(tmp_path / "sts.trc", data)
+
+    hide(slice(5, 45))
+    (again,) = load_study(with_loads(tmp_path, load), tmp_path)[1]
     np.testing.assert_allclose(
         again.applied["pelvis"].force_z[-20:],
         trial.applied["pelvis"].force_z[-20:],
         atol=0.5,
     )
+    hide(slice(145, 185))
+    before = with_loads(tmp_path, load | {"to_s": 0.5})
+    assert not load_study(before, tmp_path)[1][0].applied["pelvis"].force.any()
     with pytest.raises(InputError, match="marker without a value"):
         load_study(with_loads(tmp_path, load), tmp_path)
     wrong = {"body": "pelvis", "mass_kg": KG, "markers": ["box"]}
