@@ -93,7 +93,7 @@ from drake_exo.measurement.settings import (
 from drake_exo.measurement.steps import RecordedStep, recorded_step
 from drake_exo.measurement.subject import SubjectModel, fit_subject
 from drake_exo.measurement.trial import Trial, as_trials
-from drake_exo.model.assembly import without_side
+from drake_exo.model.assembly import Assembly, without_side
 from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.gathering import rmsd_table
@@ -120,23 +120,31 @@ class StudyFile(RecordingSettings):
 
     def __post_init__(self):
         super().__post_init__()
-        self.foot_ground.law_constants()
-        own = [s for named in self.assembly.spheres.values() for s in named]
-        spheres = dict.fromkeys((*own, *map(without_side, own)))
-        own = self.assembly.cuffs
-        cuffs = dict.fromkeys((*own, *map(without_side, own)))
-        for key, given, known in (
-            ("foot_ground.spheres", self.foot_ground.spheres, spheres),
-            ("interaction.cuffs", self.interaction.cuffs, cuffs),
-            ("foot_ground", own_keys(self.foot_ground), spheres),
-            ("interaction", own_keys(self.interaction), cuffs),
-        ):
-            for name in given:
-                if known and name not in known:
-                    raise InputError(
-                        f"{key}: the model has no {name!r}; it has "
-                        f"{', '.join(known)}{nearest(name, known)}"
-                    )
+        for name in ("foot_ground", "interaction"):
+            _check_names(name, getattr(self, name), self.assembly)
+
+
+def _check_names(phase: str, settings, model: Assembly) -> None:
+    """Refuse settings of spheres, cuffs or constants that there are not."""
+    if phase == "foot_ground":
+        settings.law_constants()
+        group = "spheres"
+        own = [s for named in model.spheres.values() for s in named]
+    elif phase == "interaction":
+        group, own = "cuffs", model.cuffs
+    else:
+        return
+    known = dict.fromkeys((*own, *map(without_side, own)))
+    for key, given in (
+        (f"{phase}.{group}", getattr(settings, group)),
+        (phase, own_keys(settings)),
+    ):
+        for name in given:
+            if known and name not in known:
+                raise InputError(
+                    f"{key}: the model has no {name!r}; it has "
+                    f"{', '.join(known)}{nearest(name, known)}"
+                )
 
 
 # What a study's attributes are, those of a study file among them.
@@ -191,26 +199,51 @@ class Study:
         self.model = model
         self.sole = sole
         self.name = name
-        check_type(model, Model, "model")
+        self.device = device
         self.foot_ground = foot_ground
         self.interaction = interaction
         self.prediction = prediction
         self.design = design
         self.filter = filter
         self._trials = as_trials(trials)
-        self.device = device
-        if device is not None:
-            self.device = schema.check(device, Device, "device")
-            self.device.check(model.coordinates)
 
     def __setattr__(self, name: str, value: object) -> None:
         # A name that is misspelt would be kept, and never read.
         if name in _SETTINGS:
             value = schema.checked(value, _SETTINGS[name], name)
-        elif name not in _PARTS + _KEPT:
+            _check_names(name, value, self._assembly)
+        elif name in _PARTS:
+            value = self._part(name, value)
+        elif name not in _KEPT:
             near = nearest(name, (*_SETTINGS, *_PARTS))
             raise AttributeError(f"a study has no {name!r} to set{near}")
+        parts = {"sole": None, **vars(self), name: value}
+        worn = parts.get("foot_ground")
+        if worn and worn.of_sole and parts["sole"] is None:
+            raise InputError(
+                f"foot_ground.law is {str(worn.law)!r}, of a sole that the "
+                "study has not; give sole=drake_exo.contact.SoleLaw.read(...)"
+            )
         super().__setattr__(name, value)
+
+    def _part(self, name: str, value: object) -> object:
+        """A part of the study, if it is one."""
+        if name in ("name", "model"):
+            check_type(value, str if name == "name" else Model, name)
+        elif name == "device" and value is not None:
+            value = schema.check(value, Device, "device")
+            value.check(self.model.coordinates)
+        elif name == "sole" and value is not None:
+            # SciPy's optimiser takes a moment to load.
+            from drake_exo.contact.reduction import SoleLaw
+
+            check_type(value, SoleLaw, "sole")
+        return value
+
+    @property
+    def _assembly(self) -> Assembly:
+        """What the model is put together of."""
+        return self.model.assembly
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {_named(self._trials)})"
@@ -334,21 +367,26 @@ class RecordedStudy(Study):
         named = [root / name for name in schema.paths_of(file)]
         self.reads = [*named, path] if path else named
         self.name = file.subject.name
+        self.sole = None
+        if file.foot_ground.of_sole:
+            from drake_exo.contact.reduction import SoleLaw
+
+            self.sole = SoleLaw.read(root / file.foot_ground.law)
+            self.sole.check_worn(file.assembly.human)
         self.foot_ground = file.foot_ground
         self.interaction = file.interaction
         self.prediction = file.prediction
         self.design = file.design
-        self.filter = file.filter
-        self.device = file.device
-        self.sole = None
-        if self.foot_ground.of_sole:
-            # SciPy's optimiser takes a moment to load.
-            from drake_exo.contact.reduction import SoleLaw
-
-            self.sole = SoleLaw.read(root / self.foot_ground.law)
-            self.sole.check_worn(file.assembly.human)
         self._loaded: dict[str, Trial] = {}
         self._judged: set[str] = set()
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name in ("model", "filter", "device"):
+            raise AttributeError(
+                f"recordings are read with the study file's {name}: change it "
+                "there, or in drake_exo.Study(...) of the trials"
+            )
+        super().__setattr__(name, value)
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {_named(self.file.trials)})"
@@ -367,6 +405,20 @@ class RecordedStudy(Study):
     def model(self) -> Model:
         """Subject and device."""
         return self.subject.model
+
+    @property
+    def filter(self) -> Filter:
+        """That the trials' signals go through."""
+        return self.file.filter
+
+    @property
+    def device(self) -> Device | None:
+        """How the device was measured, and its joints' friction."""
+        return self.file.device
+
+    @property
+    def _assembly(self) -> Assembly:
+        return self.file.assembly
 
     def trials(self, use: Use | None = None) -> tuple[Trial, ...]:
         """See Study."""

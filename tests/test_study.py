@@ -179,3 +179,29 @@ def test_what_a_study_does_not_have_is_not_set():
         study.prediction = study.interaction
     study.prediction = changed = replace(study.prediction, torque_limit_nm=90.0)
     assert study.prediction == changed
+
+
+def test_a_study_in_python_is_checked_as_its_file():
+    model, trials = dx.synthetic.rises_on_spheres(1, nodes_per_second=40)
+    sphere = dx.settings.SphereSettings()
+    for words, wrong in (
+        ("has no 'heal'; it has heel", {"spheres": {"heal": sphere}}),
+        ("'simbody' has no 'friction'", {"constants": {"friction": 1.0}}),
+        ("law is 'sole.yaml', of a sole that", {"law": Path("sole.yaml")}),
+    ):
+        settings = dx.FootGroundSettings(**wrong)
+        with pytest.raises(InputError, match=words):
+            dx.Study(model, trials, foot_ground=settings)
+    study = dx.Study(model, trials)
+    for name in ("name", "model", "device", "sole"):
+        with pytest.raises(InputError, match=f"{name} is 1.5; give a "):
+            setattr(study, name, 1.5)
+
+
+def test_what_recordings_were_read_with_is_the_files():
+    """Set afterwards, it would be told of trials that had another."""
+    study = dx.read_study(STUDY)
+    for name in ("filter", "device", "model"):
+        with pytest.raises(AttributeError, match=f"study file's {name}"):
+            setattr(study, name, None)
+    assert study.filter == study.file.filter
