@@ -541,19 +541,25 @@ def _two_legs(tree: PlanarTree, model: MarkerModel, poses: Poses) -> np.ndarray:
     return q
 
 
-def residual_rms(model: MarkerModel, poses: Poses) -> dict[str, float]:
-    """Root mean square distance of each marker from the model [m].
+def residuals(model: MarkerModel, poses: Poses) -> dict[str, np.ndarray]:
+    """Distance of each marker from the model (N,) [m]; NaN where it is hidden.
 
-    A marker on two segments has one entry, its mean over both; frames in which
-    it is hidden do not count.
+    A marker on two segments has one entry, the mean square over both.
     """
-    square = np.abs(poses.residuals) ** 2
     names = np.array(model.names)
+    square = np.abs(poses.residuals) ** 2
+    return {
+        name: np.sqrt(square[:, names == name].mean(axis=1))
+        for name in model.names
+    }
+
+
+def residual_rms(off: dict[str, np.ndarray]) -> dict[str, float]:
+    """Root mean square of each marker's `residuals` [m], where it is seen."""
     found = {}
-    for name in model.names:
-        own = square[:, names == name]
-        seen = own[np.isfinite(own)]
-        found[name] = float(np.sqrt(seen.mean())) if seen.size else 0.0
+    for name, x in off.items():
+        seen = x[np.isfinite(x)]
+        found[name] = float(np.sqrt(np.mean(seen**2))) if seen.size else 0.0
     return found
 
 

@@ -19,7 +19,7 @@ from drake_exo.errors import InputError
 from drake_exo.files.output import Check, Level, Verdict
 from drake_exo.files.tables import between, runs
 from drake_exo.measurement.filters import MarkerFault
-from drake_exo.measurement.kinematics import inverse_dynamics
+from drake_exo.measurement.kinematics import inverse_dynamics, residual_rms
 from drake_exo.measurement.mats import MatForce
 from drake_exo.measurement.processing import (
     LEAST_LEAP_M_S,
@@ -629,7 +629,8 @@ def _ranges(e: Evidence) -> Iterator[Check]:
 
 
 def _markers(e: Evidence) -> Check:
-    rms = e.recording.motion.residuals_m
+    off = e.recording.motion.residuals_m
+    rms = residual_rms({name: x[e.inside] for name, x in off.items()})
     worst = max(rms, key=rms.get)
     overall = float(np.sqrt(np.mean(np.square(list(rms.values())))))
     return e.check(
@@ -1003,7 +1004,9 @@ def _frozen(e: Evidence, i: int) -> Check:
     human = e.expected(motion.q)[:, i]
     human = np.rad2deg(np.interp(angles.time, motion.time, human))
     speed = np.gradient(np.rad2deg(angles.values[:, i]), angles.time)
+    start, end = e.trial.start_s, e.trial.start_s + e.trial.duration
     still = np.abs(speed) < _STILL_DEG_S
+    still &= between(angles.time, start, end)
     least = _FROZEN_S / (angles.time[1] - angles.time[0])
     moved = [np.ptp(human[a:b]) for a, b in runs(still) if b - a >= least]
     most = max(moved, default=0.0)

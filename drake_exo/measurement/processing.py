@@ -44,6 +44,7 @@ from drake_exo.measurement.kinematics import (
     inverse_dynamics,
     leg_angles,
     residual_rms,
+    residuals,
     solve_poses,
     wrenches,
 )
@@ -95,7 +96,7 @@ class Motion:
         q, v, a: (N, .) filtered motion.
         ankles: side -> (N, 2) filtered ankle centres [m].
         hip_z: (N,) height of the middle of the hips [m].
-        residuals_m: marker -> RMS distance from the model.
+        residuals_m: marker -> (N,) distance from the model, NaN where hidden.
         gaps: of the markers.
         known: (N,) whether the markers that are seen hold every segment.
         legs: side -> (N, 3) ankle, knee, hip of that leg [rad].
@@ -114,7 +115,7 @@ class Motion:
     a: np.ndarray
     ankles: dict[str, np.ndarray]
     hip_z: np.ndarray
-    residuals_m: dict[str, float]
+    residuals_m: dict[str, np.ndarray]
     gaps: Gaps
     known: np.ndarray
     legs: dict[str, np.ndarray]
@@ -129,7 +130,7 @@ class Motion:
     def cut(self, rows: slice) -> "Motion":
         """Some of its samples; what is told of the markers stays."""
         one = ("time", "q", "v", "a", "hip_z", "known")
-        several = ("ankles", "legs", "feet")
+        several = ("ankles", "residuals_m", "legs", "feet")
         return replace(
             self,
             **{name: getattr(self, name)[rows] for name in one},
@@ -436,7 +437,7 @@ def _follow(
         a,
         {side: smooth(p) for side, p in ankles.items()},
         smooth(poses.hip.imag),
-        residual_rms(model, poses),
+        residuals(model, poses),
         gaps,
         model.determined(hidden),
         {side: smooth(x) for side, x in leg_angles(model, poses).items()},
@@ -606,6 +607,9 @@ def cut(
     provenance = {
         **_provenance(files, recording, subject, settings),
         "part": how,
+        "marker_residual_rms_m": residual_rms(
+            {name: x[inside] for name, x in motion.residuals_m.items()}
+        ),
         "gaps_filled": {
             name: count / int(inside.sum())
             for name, count in motion.gaps.frames(time[0], time[-1]).items()
@@ -669,7 +673,6 @@ def _provenance(
         "plate_levels": recording.forces.levels,
         "one_leg_doubled": recording.forces.is_one_leg,
         "legs_followed": list(subject.markers.sides),
-        "marker_residual_rms_m": recording.motion.residuals_m,
         "markers_left_out": list(recording.motion.without),
         "markers_absent": list(recording.motion.absent),
     }

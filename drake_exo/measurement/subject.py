@@ -15,6 +15,7 @@ from drake_exo.measurement.kinematics import (
     build_marker_model,
     coordinates,
     residual_rms,
+    residuals,
     solve_poses,
 )
 from drake_exo.measurement.recording import (
@@ -125,7 +126,7 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     wrench = _standing_wrench(settings, root, ankles)
     report: dict[str, Any] = {
         "stated_mass_kg": settings.subject.mass_kg,
-        "standing_residual_rms_m": residual_rms(markers, poses),
+        "standing_residual_rms_m": residual_rms(residuals(markers, poses)),
         "standing_gaps_filled": gaps.frames(*part),
         "ankle_height_m": markers.ankle_height_m,
         "lengths_m": dict(markers.lengths_m),

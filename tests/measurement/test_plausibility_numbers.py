@@ -137,14 +137,17 @@ def test_ranges_are_told_by_the_worse_end(bends, value, limit, holds):
 
 
 def test_markers_are_told_by_their_mean_square():
-    rms = {"heel": 0.03, "toe": 0.06, "knee": 0.02}
-    check = plausibility._markers(made(residuals_m=rms))
+    """In the used part: one that is exchanged later does no harm."""
+    off = {"heel": 0.03, "toe": 0.06, "knee": 0.02}
+    off = {name: np.full(200, x) for name, x in off.items()}
+    off["toe"][120:], off["heel"][60:70] = 0.5, np.nan
+    check = plausibility._markers(made(residuals_m=off))
     mean = np.sqrt((0.03**2 + 0.06**2 + 0.02**2) / 3)
     assert told(check, "markers") == [(mean, 0.05, True)]
-    rms["toe"] = 0.09
+    off["toe"][:] = 0.09
     assert (
         "most toe (90 mm)"
-        in plausibility._markers(made(residuals_m=rms)).sentence
+        in plausibility._markers(made(residuals_m=off)).sentence
     )
 
 
@@ -796,8 +799,13 @@ def test_an_encoder_that_is_frozen_for_a_while():
     def shortly(t):
         return bends(40.0)(np.where((t > 1.6) & (t < 1.69), 1.6, t))
 
-    e = worn([zero, shortly, zero], [zero, bends(40.0), zero])
-    assert plausibility._frozen(e, 1).holds
+    # Or before the used part, which begins at 1.5 s.
+    def wakes(t):
+        return bends(40.0)(np.maximum(t, 1.45))
+
+    for own in (shortly, wakes):
+        e = worn([zero, own, zero], [zero, bends(40.0), zero])
+        assert plausibility._frozen(e, 1).holds
 
 
 @pytest.mark.parametrize("lag", [0.05, -0.03, 0.08])
