@@ -225,7 +225,9 @@ class Evidence:
         return sum(w.array for w in loads)
 
     def pitch_error(self, turned: bool = False) -> float:
-        """RMS moment about the ankle that Euler's law misses [N m].
+        """RMS moment that Euler's law misses [N m].
+
+        About the body's root: the ankle, of two legs the middle of the hips.
 
         Args:
             turned: as if the plates' axes were turned by half a turn.
@@ -719,6 +721,7 @@ def _dynamics(e: Evidence) -> Iterator[Check]:
     borne = float(np.mean(e.measured[:, 1]) / np.mean(e.needed[:, 1]))
     unit = _unit_of(borne)
     cause = unit or likely_cause(e) or "check plates, axes and clocks"
+    root = "hips" if e.subject.model.assembly.human.sides else "ankle"
     yield e.check(
         "newton",
         force,
@@ -728,7 +731,7 @@ def _dynamics(e: Evidence) -> Iterator[Check]:
     yield e.check(
         "euler",
         moment,
-        f"Euler's law misses {moment:.0f} N m RMS about the ankle; {cause}",
+        f"Euler's law misses {moment:.0f} N m RMS about the {root}; {cause}",
     )
     means = {"forward": float(missing[:, 0].mean())}
     if not e.recording.forces.is_one_leg:

@@ -32,7 +32,8 @@ class TrialQuality:
         filled_frames: how many of the used part, over all markers.
         left_out: markers that are hidden for too long.
         residual_n: RMS of F_x and F_z that Newton's law misses.
-        residual_nm: RMS of the pitch moment about the ankle it misses.
+        residual_nm: RMS of the pitch moment it misses about the ankle, of two
+            legs about the hips.
         residual: (N, 3) the same over time.
         delays_s: lag of each clock that was taken out.
         notes: what was doubled, estimated, levelled.
@@ -90,7 +91,8 @@ def force_residual(subject: SubjectModel, trial: Trial) -> np.ndarray:
     """What motion asks of the ground beyond what plates measured.
 
     Returns:
-        (N, 3) F_x, F_z [N] and pitch moment about the ankle [N m].
+        (N, 3) F_x, F_z [N] and pitch moment [N m] about the ankle, of two
+        legs about the hips.
     """
     tree = subject.model.rigid.tree
     columns = trial.coordinates.body_columns

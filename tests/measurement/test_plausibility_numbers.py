@@ -178,6 +178,9 @@ def test_newton_and_euler_by_hand():
     assert "+25 N sideways" in found[3].sentence
     known(e, needed=measured + 2.2 * lost)
     found = list(plausibility._dynamics(e))
+    assert "N m RMS about the ankle" in found[1].sentence
+    e.subject.model.assembly.human.sides = "left", "right"
+    assert "RMS about the hips" in list(plausibility._dynamics(e))[1].sentence
     assert [(c.holds, c.sentence[7:39]) for c in found[2::2]] == [
         (False, "plates bear -22 N forward on ave"),
         (False, "plates bear 90 % of what the mot"),
