@@ -65,6 +65,7 @@ LIMITS: dict[str, tuple[float, str, str]] = {
     # Feet over ground move at 0.02 m/s, slow belts at 0.5.
     "belt": (0.3, "m/s", "markers"),
     "end": (0.15, "m/s", "forces"),
+    "end_joints": (30.0, "deg/s", "markers"),
     "leg_angles": (15.0, "deg", "markers"),
     "feet_apart": (0.10, "m", "markers"),
     "leg_share": (65.0, "%", "forces"),
@@ -582,6 +583,7 @@ def body_checks(e: Evidence) -> Iterator[Check]:
     yield from _dynamics(e)
     if e.subject.model.assembly.human.sides:
         yield _belt(e)
+        yield _end_joints(e)
     # A step ends in the middle of a movement, and its legs do not move alike.
     if not e.subject.model.assembly.human.sides:
         yield _end(e)
@@ -822,6 +824,36 @@ def _end(e: Evidence) -> Check:
         f"the recording {word} at {motion.time[at]:g} s while the hips "
         f"move at {speed:.2f} m/s, in the middle of the movement: export the "
         "whole trial",
+    )
+
+
+def _end_joints(e: Evidence) -> Check:
+    """Whether the filter saw what comes before and after the used part.
+
+    Where the recording ends it goes on as if nothing accelerated: there
+    accelerations are lost, and within half a reach some of them.
+    """
+    time, legs = e.recording.motion.time, e.recording.motion.legs
+    angles = np.rad2deg(np.hstack(list(legs.values())))
+    speeds = np.abs(np.gradient(angles, time, axis=0)).max(axis=1)
+    reach = 0.5 / e.trial.provenance["filter"]["cutoff_hz"]
+    first, last = np.flatnonzero(e.inside)[[0, -1]]
+    begins, ends = (
+        float(speeds[rows].max()) if gap < reach else 0.0
+        for rows, gap in (
+            (slice(first + 1), time[first] - time[0]),
+            (slice(last, None), time[-1] - time[last]),
+        )
+    )
+    speed = max(begins, ends)
+    at, word = (0, "starts") if begins > ends else (-1, "ends")
+    return e.check(
+        "end_joints",
+        speed,
+        f"the recording {word} at {time[at]:g} s, within {1e3 * reach:.0f} ms "
+        f"of the used part, while a joint turns at {speed:.0f} deg/s; the "
+        "filter does not know how it goes on: export more, or use a part "
+        "that keeps away from there",
     )
 
 

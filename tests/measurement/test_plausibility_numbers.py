@@ -261,6 +261,28 @@ def test_a_recording_that_ends_in_the_rise():
     assert told(plausibility._end(e), "end") == [(0.0, 0.15, True)]
 
 
+@pytest.mark.parametrize("side", [0, -1])
+def test_a_recording_of_two_legs_that_ends_in_a_step(side):
+    """The knee turns at 40 deg/s; 83 ms are half a period of 6 Hz."""
+    angles = np.zeros((200, 3))
+    angles[:, 1] = np.deg2rad(40.0) * TIME
+    e = made(legs={"left": 0.0 * angles, "right": angles})
+    e.trial.provenance = {"filter": {"cutoff_hz": 6.0}}
+    assert told(plausibility._end_joints(e), "end_joints") == [(0, 30.0, True)]
+    for gap, value in ((0.07, 40.0), (0.09, 0.0)):
+        near = TIME <= 2.5 if side else TIME >= 1.5
+        away = np.abs(TIME - TIME[side]) > gap - 1e-6
+        vars(e)["inside"] = away & ~near
+        check = plausibility._end_joints(e)
+        assert told(check, "end_joints") == [(value, 30.0, value == 0.0)]
+        word = "ends at 2.99 s" if side else "starts at 1 s"
+        assert value == 0.0 or word in check.sentence
+    # Who stands still by then is as sound as ever.
+    angles[-20:] = angles[-20]
+    vars(e)["inside"] = TIME >= 1.5
+    assert plausibility._end_joints(e).holds
+
+
 def test_legs_against_each_other():
     """18 degrees at the knee, 80 mm, 70 % on the right, one foot up."""
     left, right = np.zeros((2, 200, 3))
