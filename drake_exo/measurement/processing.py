@@ -72,6 +72,8 @@ from drake_exo.model.plant import Model
 
 # Told, if not refused: heels that strike change by 2 m/s between two frames.
 LEAST_LEAP_M_S = 4.0
+# Of the search for the plates' clock, which knows milliseconds.
+_CLOCK_PASSES, _SETTLED_S = 5, 1.5e-3
 
 
 @dataclass(frozen=True)
@@ -482,20 +484,33 @@ def _force_delay(
         return force_delay(
             time, needed + pulled, total + pulled, motion.known, reach
         )
-    rises = _rises(motion, feet, chair, forces, rigid)
+    late = None
+    for _ in range(_CLOCK_PASSES):  # seat-off is found on the plates' clock
+        used = _borne_by_feet(motion, forces.delayed(late or 0.0), rigid)
+        found = force_delay(time, needed + pulled, F_z + pulled, used, reach)
+        if late is not None and abs(found - late) < _SETTLED_S:
+            break
+        late = found
+    return late
+
+
+def _borne_by_feet(motion, forces: FootForces, rigid: Model) -> np.ndarray:
+    """When they bear the body (N,): in rises, without such while loaded."""
+    time, feet = motion.time, forces.at(motion.time)
+    F_z = forces.total(feet)
+    rises = _rises(motion, feet, None, forces, rigid)
     used = np.zeros(len(time), bool)
     for rise in rises:
         used |= (time >= rise.seat_off_s) & (time <= rise.standing_s)
     if not rises:
         used = F_z > 0.5 * rigid.tree.weight
-    used &= motion.known
-    if not used.any():
+    if not (used & motion.known).any():
         raise InputError(
             f"{forces.source}: the plates bear {F_z.max():.3g} N at most, the "
             f"body weighs {rigid.tree.weight:.0f} N; check plates and the unit "
             "of force (N, not kN), or do not estimate_force_delay"
         )
-    return force_delay(time, needed + pulled, F_z + pulled, used, reach)
+    return used & motion.known
 
 
 def _said(late: float, laboratory) -> str:

@@ -171,15 +171,34 @@ def test_plates_are_timed_while_they_bear_half_the_body(monkeypatch):
     rigid = SimpleNamespace(tree=SimpleNamespace(weight=700.0))
     forces = SimpleNamespace(
         total=lambda feet: F_z, at=lambda t: {}, chair_at=lambda t: None,
-        source="f.mot",
+        delayed=lambda lag: forces, source="f.mot",
     )  # fmt: skip
+    said = []
     monkeypatch.setattr(processing, "needed_force", lambda *_: 2.0 * F_z)
     monkeypatch.setattr(processing, "_rises", lambda *_: [])
-    monkeypatch.setattr(processing, "force_delay", lambda *said: said)
+    monkeypatch.setattr(
+        processing, "force_delay", lambda *x: said.append(x) or 0.01
+    )
     lab = SimpleNamespace(largest_delay_s=0.2)
-    found = processing._force_delay(motion, forces, rigid, lab)
-    np.testing.assert_array_equal(found[3], [0, 0, 1, 1, 0, 0])
-    assert found[4] == 0.2
+    assert processing._force_delay(motion, forces, rigid, lab) == 0.01
+    np.testing.assert_array_equal(said[0][3], [0, 0, 1, 1, 0, 0])
+    assert said[0][4] == 0.2
+
+
+def test_seat_off_is_found_on_the_clock_that_is_found(monkeypatch):
+    """Forces 40 ms late begin elsewhere: again, until a millisecond is left."""
+    forces = SimpleNamespace(
+        total=lambda feet: 0.0, at=lambda t: {}, chair_at=lambda t: None,
+        delayed=lambda lag: lag,
+    )  # fmt: skip
+    by_lag = {0.0: 0.056, 0.056: 0.05, 0.05: 0.048, 0.048: 0.049}
+    monkeypatch.setattr(processing, "needed_force", lambda *_: 0.0)
+    monkeypatch.setattr(processing, "_borne_by_feet", lambda m, lag, r: lag)
+    monkeypatch.setattr(
+        processing, "force_delay", lambda t, n, F_z, used, reach: by_lag[used]
+    )
+    lab, motion = (SimpleNamespace(largest_delay_s=0.1, time=np.zeros(2)),) * 2
+    assert processing._force_delay(motion, forces, None, lab) == 0.048
 
 
 @pytest.mark.parametrize("late", [0.05, 0.0484, 0.0486, -0.0486, 0.02])
