@@ -317,17 +317,17 @@ class Load:
                 "pattern least_share), or give a larger contact.friction"
             )
 
-    def bearable(self, friction: float, width: float) -> "Load":
+    def bearable(self, friction: float, width: float, up) -> "Load":
         """Free moments cut to what a line of contact across the sole bears.
 
-        A line of length `width` w [m] under an even load turns at
-        (μ F_z − |F_t|) w / 4.
+        A line of length `width` w [m] under an even load F_n turns about the
+        ground's normal `up` at (μ F_n − |F_t|) w / 4.
         Plates and their filters tell more at small loads than any ground bears.
         """
         if self.free_moment is None:
             return self
-        spare = friction * self.force[:, 2] - np.hypot(*self.force.T[:2])
-        most = np.maximum(spare, 0.0) * width / 4
+        across, along = self._on_ground(up)
+        most = np.maximum(friction * across - along, 0.0) * width / 4 / up[2]
         cut = int((np.abs(self.free_moment) > most).sum())
         moment = np.clip(self.free_moment, -most, most)
         return replace(self, free_moment=moment, moments_cut=cut)
@@ -339,9 +339,13 @@ class Load:
 
     def friction_used(self, up) -> np.ndarray:
         """Force along over force across a ground of normal `up`, (N,)."""
-        across = self.force @ up
-        along = np.linalg.norm(self.force - np.outer(across, up), axis=1)
+        across, along = self._on_ground(up)
         return np.where(across > 0, along / across, np.inf)
+
+    def _on_ground(self, up) -> tuple[np.ndarray, np.ndarray]:
+        """Force across and along a ground of normal `up` [N], (N,) each."""
+        across = self.force @ up
+        return across, np.linalg.norm(self.force - np.outer(across, up), axis=1)
 
     def check_inside(self, places: np.ndarray) -> None:
         """Refuse a ZMP outside the sole's outline.

@@ -478,6 +478,7 @@ class Setup:
         start = settings.start_pose(mesh, ground)
         level = _level(mesh, start)
         ground.check_below(level, "ground.heights")
+        up = ground.normal(level)
         width = float(np.ptp(mesh.nodes[:, :2], axis=0).min())
         found = []
         for block in settings.all_loads:
@@ -486,7 +487,7 @@ class Setup:
                 turned = load.rotation @ rotation_z(start.yaw)
                 load = replace(load, rotation=turned)
             cls(settings, load, mesh, start, ground).check_load()
-            found.append(load.bearable(friction, width))
+            found.append(load.bearable(friction, width, up))
         load = found[0]
         if settings.loads:
             weights = [block.weight for block in settings.loads]

@@ -166,12 +166,17 @@ def test_moments_are_cut_to_what_a_line_bears():
         np.arange(4.0), force, np.zeros((4, 2)), "it",
         np.array([0.8, -9.0, -0.4, 0.1]),
     )  # fmt: skip
-    found = load.bearable(0.8, 0.08)
+    flat = np.array([0.0, 0.0, 1.0])
+    found = load.bearable(0.8, 0.08, flat)
     # 0.8 · 100 − 50 = 30 N, 80 N, 30 N, none; a quarter of 0.08 m.
     np.testing.assert_allclose(found.free_moment, [0.6, -1.6, -0.4, 0.0])
     assert found.moments_cut == 3
     plain = Load(load.times, load.force, load.zmp)
-    assert plain.bearable(0.8, 0.08) is plain
+    assert plain.bearable(0.8, 0.08, flat) is plain
+    # On a slope about its normal: 0.8 · 0.8 · 100 − 0.6 · 100 N along it.
+    upright = replace(load, force=np.tile([0, 0, 100.0], (4, 1)))
+    found = upright.bearable(0.8, 0.08, np.array([0.6, 0.0, 0.8]))
+    np.testing.assert_allclose(found.free_moment, [0.1, -0.1, -0.1, 0.1])
 
 
 def test_a_zmp_outside_is_told_by_how_much():

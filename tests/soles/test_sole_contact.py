@@ -124,10 +124,12 @@ def test_a_measured_pose_is_kept_and_its_force_reached(sole, history, kind):
 def test_moments_that_no_ground_bears_are_cut():
     force = np.array([[0.0, 0, 100], [60, 0, 100], [90, 0, 100]])
     load = as_load(force, np.zeros((3, 2)), free_moment=[9.0, -1.0, -1.0])
-    cut = load.bearable(0.8, 0.12)
+    up = np.array([0.0, 0.0, 1.0])
+    cut = load.bearable(0.8, 0.12, up)
     np.testing.assert_allclose(cut.free_moment, [2.4, -0.6, 0.0])
     assert cut.moments_cut == 3
-    assert as_load(force, np.zeros((3, 2))).bearable(0.8, 0.1).moments_cut == 0
+    plain = as_load(force, np.zeros((3, 2)))
+    assert plain.bearable(0.8, 0.1, up).moments_cut == 0
 
 
 def test_first_jacobian_includes_the_moving_reference(sole):
