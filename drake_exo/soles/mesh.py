@@ -588,7 +588,7 @@ def mould_triangles(mesh: TetMesh) -> np.ndarray:
     if cavity.is_empty():
         return corners_of(cavity)
     low, high = mesh.nodes.min(axis=0) - WALL, mesh.nodes.max(axis=0) + WALL
-    high[2] = mesh.nodes[mesh.fixed, 2].mean()
+    high[2] = mesh.nodes[mesh.fixed, 2].max()
     block = Manifold.cube(high - low).translate(low)
     return corners_of((block - cavity).simplify(_SAME))
 
