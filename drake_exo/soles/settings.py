@@ -568,11 +568,14 @@ class Setup:
         stages = tuple(replace(s, iterations=0) for s in block.stages)
         block = replace(block, stages=stages)
         mesh, load = self.mesh, replace(self.load, name="")
+        own = checksum(self.settings.start_pose(mesh, self.ground))
+        given = [] if checksum(self.start) == own else [self.start]
         return checksum(
             [
                 replace(self.settings, name="", optimize=block),
                 [mesh.nodes, mesh.tets, mesh.fixed],
                 [load, self.ground],
+                *given,
             ]
         )
 

@@ -238,11 +238,12 @@ def test_a_checkpoint_of_another_case_is_exit_code_2(folder, capsys):
 
 def test_all_that_a_search_is_of_is_in_its_key(folder):
     case = Case.read(folder / "case.yaml")
-    line, load = np.array([-1.0, 1.0]), case.load
+    line, load = np.linspace(-1.0, 1.0, 4), case.load
     n = len(load.times)
     turned = np.tile(np.eye(3), (n, 1, 1))
     others = [
-        replace(case, ground=Ground(line, line, np.full((2, 2), 0.01))),
+        replace(case, ground=Ground(line, line, np.full((4, 4), 0.01))),
+        replace(case, start=replace(case.start, yaw=0.3)),
         *(
             replace(case, load=replace(load, **other))
             for other in (
@@ -252,7 +253,7 @@ def test_all_that_a_search_is_of_is_in_its_key(folder):
             )
         ),
     ]
-    assert len({case.key, *(other.key for other in others)}) == 5
+    assert len({case.key, *(other.key for other in others)}) == 6
     named = replace(case, load=replace(load, name="elsewhere.csv"))
     assert named.key == case.key
 
