@@ -507,8 +507,9 @@ def compare_strains(
 
     Returns:
         c_tr of both kinds, samples converged, and `samples`: the figures of
-        both at the first, middle and last sample (1, 11 and 21 of the
-        paper's 21), NaN where there is no equilibrium.
+        both at the first, middle and last sample of heel strike (1, 11 and
+        21 of the paper's 21; numbers are the load's), NaN where there is no
+        equilibrium.
     """
     mesh = setup.mesh.touching_everywhere()
     sole = Sole(mesh, setup.settings.material.material(), "linear")
@@ -538,10 +539,10 @@ def compare_strains(
         "c_tr_small": float(weights @ sigma_max_translation(small.K_c)),
         "c_tr_finite": float(weights @ sigma_max_translation(finite.K_c)),
         "samples": [
-            _sample(sole, small, finite, q)
+            {"sample": int(rows[q] + 1), **_sample(sole, small, finite, q)}
             for q in np.unique([0, count // 2, count - 1])
         ],
-        "failures": _failures(finite),
+        "failures": _failures(finite, rows),
     }
 
 
@@ -567,10 +568,10 @@ def from_json(found: dict, name: Path | str) -> dict:
     return sole
 
 
-def _failures(finite: FiniteHistory) -> list[dict]:
+def _failures(finite: FiniteHistory, rows: np.ndarray) -> list[dict]:
     return [
         {
-            "sample": int(q + 1),
+            "sample": int(rows[q] + 1),
             "reached": finite.reached[q],
             "message": finite.reports[q].message,
         }
@@ -583,7 +584,6 @@ def _sample(
 ) -> dict:
     """Figures of one sample by both, NaN where there is no equilibrium."""
     row = {
-        "sample": int(q + 1),
         "converged": bool(finite.reports[q].converged),
         "reached": float(finite.reached[q]),
     }

@@ -52,6 +52,8 @@ def test_several_loads_count_by_their_weights(compared):
     twice = Load.one_after_another([setup.load] * 2, [1.0, 3.0])
     again = compare_strains(replace(setup, load=twice))
     assert again["heel_strike_samples"] == 2 * found["heel_strike_samples"]
+    # Numbered as in steps.csv: the second heel strike begins at the 51st.
+    assert [row["sample"] for row in again["samples"]] == [1, 51, 55]
     for key in ("c_tr_small", "c_tr_finite"):
         assert again[key] == pytest.approx(found[key], rel=1e-6)
 
@@ -201,13 +203,13 @@ def test_what_is_left_out_is_as_long_as_the_rest():
     assert history.converged.tolist() == 3 * [False]
 
 
-def test_samples_that_fail_are_numbered_from_one():
+def test_samples_that_fail_are_numbered_as_of_the_load():
     finite = SimpleNamespace(
         converged=np.array([True, False, False]), reached=[1.0, 0.3, 0.0],
         reports=[SimpleNamespace(message=m) for m in "abc"],
     )  # fmt: skip
-    assert module._failures(finite) == [
+    assert module._failures(finite, np.array([0, 1, 50])) == [
         {"sample": 2, "reached": 0.3, "message": "b"},
-        {"sample": 3, "reached": 0.0, "message": "c"},
+        {"sample": 51, "reached": 0.0, "message": "c"},
     ]
     assert "sample" in table({})
