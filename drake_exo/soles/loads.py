@@ -112,7 +112,8 @@ class Load:
                 )
         if self.rotation is not None:
             square = self.rotation @ self.rotation.transpose(0, 2, 1)
-            if (np.abs(square - np.eye(3)) > 1e-6).any():
+            mirrors = np.linalg.det(np.nan_to_num(self.rotation)) < 0
+            if (np.abs(square - np.eye(3)) > 1e-6).any() or mirrors.any():
                 raise InputError(
                     f"{self.name}: rotation holds what turns nothing; give "
                     "rotation matrices"

@@ -378,6 +378,7 @@ _FORCE, _ZMP = [[0, 0, 300.0]] * 2, [[0.0, 0.01]] * 2
         ({"free_moment": [0.0]}, "free_moment has the shape"),
         ({"free_moment": [0.0, np.nan]}, "free_moment holds NaN"),
         ({"rotation": np.eye(3)}, "rotation has the shape"),
+        ({"rotation": [np.diag([1.0, -1, 1])] * 2}, "rotation holds what"),
         ({"begins": (0, 5), "weights": (1.0, 1.0)}, "begins is"),
         ({"begins": (1,)}, "begins is"),
         ({"weights": (1.0, 2.0)}, "one above 0 for each of 1"),
