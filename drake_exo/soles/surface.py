@@ -311,8 +311,9 @@ def sole_from_surface(
         tets: About how many.
         top_m: Height in the file's frame [m] above which faces that look
             upwards are fixed to the foot, for a top that is not flat.
-        origin: Sole frame's origin in the file's frame [m], by default below
-            the middle of the top.
+        origin: Sole frame's origin in the file's frame [m]. By default the
+            file's own where its top reaches up to z = 0, else in the middle
+            of the top, at its height.
 
     Raises:
         InputError: No flat top is found, or it cannot be meshed.
@@ -321,10 +322,9 @@ def sole_from_surface(
     check_size(places, surface.name, end)
     check_turned(places, surface.name)
     top = _top_faces(surface, top_m)
-    place = surface.corners[top].reshape(-1, 3)
-    low, high = place.min(axis=0), place.max(axis=0)
     if origin is None:
-        origin = (*(0.5 * (low + high))[:2], high[2])
+        extent = np.ptp(places, axis=0).max()
+        origin = _guess_origin(surface.corners[top].reshape(-1, 3), extent)
     corners = surface.corners - np.asarray(origin)
     thickness = _Thickness(corners)
     try:
@@ -411,6 +411,13 @@ def _meshed(thickness: "_Thickness", top, flat: bool, tets: int):
     body = {"nodes": nodes, "tets": cells, "size": size}
     mesh = run_mmg(body | {"gradation": _GRADATION}, _SECONDS)
     return _onto(*mesh, corners, top, flat)
+
+
+def _guess_origin(top: np.ndarray, extent: float) -> np.ndarray:
+    low, high = top.min(axis=0), top.max(axis=0)
+    if abs(high[2]) <= 1e-6 * extent:
+        return np.zeros(3)
+    return np.append(0.5 * (low + high)[:2], high[2])
 
 
 def _share(thickness: "_Thickness", tets: int) -> float:

@@ -16,7 +16,7 @@ _THICK = ([0, 0.15, 0.4, 0.55, 0.75, 1], [28, 30, 24, 18, 17, 15])
 
 
 def shoe_surface(along: int = 90, across: int = 14) -> np.ndarray:
-    """Outward triangles [m], top at z = 0, (t, 3, 3)."""
+    """Outward triangles [m], origin in the top's middle, (t, 3, 3)."""
     s = 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, along)))
     ends = np.sqrt(np.clip(1 - (2 * s - 1) ** 8, 0, 1))
     width = ends * np.interp(s, _ALONG, _HALF_WIDTH)
@@ -28,6 +28,9 @@ def shoe_surface(along: int = 90, across: int = 14) -> np.ndarray:
     top[..., 0] = bottom[..., 0] = (s[:, None] - 0.5) * LENGTH
     top[..., 1] = middle[:, None] + width[:, None] * y
     bottom[..., 1] = middle[:, None] + 0.94 * width[:, None] * y
+    own = 0.5 * (top[..., 1].min() + top[..., 1].max())
+    top[..., 1] -= own
+    bottom[..., 1] -= own
     bottom[..., 2] = -thick[:, None] + arch[:, None] * (1 - y) / 2
 
     def quads(grid):

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from shoe import shoe_surface
 
+import drake_exo.soles.surface as module
 from drake_exo import cli
 from drake_exo.errors import InputError
 from drake_exo.soles.case import EXAMPLE, Case
@@ -19,6 +20,7 @@ from drake_exo.soles.mesh import (
 )
 from drake_exo.soles.results import step_checks
 from drake_exo.soles.surface import (
+    MmgError,
     Surface,
     _lost,
     _nearest,
@@ -440,6 +442,26 @@ def test_a_top_that_is_not_flat_is_asked_for_and_taken():
     away = np.linalg.norm(on - fixed, axis=1)
     assert np.median(away) < 1e-6 and away.max() < 1e-3
     assert np.ptp(fixed[:, 0]) > 0.25
+
+
+@pytest.mark.parametrize(("height", "kept"), [(0.0, 1), (0.05, 0)])
+def test_a_surface_whose_top_is_at_zero_keeps_its_frame(
+    height, kept, monkeypatch
+):
+    """At the ankle, say; of another height it is put in the top's middle."""
+    meshed = []
+
+    def without_mmg(thickness, *_):
+        meshed.append(thickness.corners)
+        raise MmgError("that is all")
+
+    monkeypatch.setattr(module, "_meshed", without_mmg)
+    off = np.array([0.03, 0.01, height])
+    with pytest.raises(InputError, match="that is all"):
+        sole_from_surface(Surface(_brick_surface() + off, "it"))
+    low, high = (f(meshed[0].reshape(-1, 3), axis=0) for f in (np.min, np.max))
+    np.testing.assert_allclose((low + high)[:2] / 2, kept * off[:2])
+    assert high[2] == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.slow
