@@ -375,13 +375,14 @@ def read_mesh(
 ) -> TetMesh:
     """Read linear tetrahedra from Gmsh or another format of meshio.
 
-    The fixed surface is the plane of the highest nodes.
+    The fixed surface is the plane of the highest nodes, or nodes with 1 in
+    point data `fixed`.
 
     Args:
         path: Mesh file in metres.
         origin: Sole frame's origin in the file's frame [m]. By default the
-            file's own origin where its top is at z = 0, else the middle of
-            the top's bounding box, where the top is a rectangle.
+            file's own origin where its top is at z = 0 or no plane, else the
+            middle of the top's bounding box, where the top is a rectangle.
 
     Raises:
         InputError: Unreadable file, no tetrahedra, inverted or unconnected
@@ -408,13 +409,14 @@ def read_mesh(
     used, tets = np.unique(tets, return_inverse=True)
     nodes, tets = nodes[used], tets.reshape(-1, 4)
     extent = np.ptp(nodes, axis=0).max()
-    top = np.flatnonzero(nodes[:, 2] > nodes[:, 2].max() - 1e-7 * extent)
-    if origin is None:
-        origin = _guess_origin(TetMesh(nodes, tets, top), extent, path)
     glued = np.ravel(said.get(_FIXED, []))
     is_told = len(glued) > used.max()  # a file of `write_vtk`
     if is_told:
         top = np.flatnonzero(glued[used] > 0)
+    else:
+        top = np.flatnonzero(nodes[:, 2] > nodes[:, 2].max() - 1e-7 * extent)
+    if origin is None:
+        origin = _guess_origin(TetMesh(nodes, tets, top), extent, path)
     mesh = checked_mesh(nodes - np.asarray(origin), tets, top, str(path))
     if not is_told:
         check_turned(nodes, path)
@@ -444,8 +446,9 @@ def check_top(corners: np.ndarray, top: np.ndarray, name, more="") -> None:
 
 def _guess_origin(mesh: TetMesh, extent: float, path) -> np.ndarray:
     top = mesh.nodes[mesh.fixed]
-    z = top[:, 2].mean()
-    if abs(z) <= 1e-7 * extent:
+    z, near = top[:, 2].mean() if len(top) else 0.0, 1e-7 * extent
+    # A curved top, which has to be told, has no height to tell a frame by.
+    if abs(z) <= near or np.ptp(top[:, 2]) > near:
         return np.zeros(3)
     low, high = top[:, :2].min(axis=0), top[:, :2].max(axis=0)
     area = 0.5 * mesh.areas(mesh.top_faces)[0][:, 2].sum()
