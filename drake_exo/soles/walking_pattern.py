@@ -11,7 +11,7 @@ from functools import cached_property, partial
 import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import null_space
-from scipy.optimize import LinearConstraint, brentq, minimize
+from scipy.optimize import LinearConstraint, brentq, minimize, nnls
 from scipy.spatial import ConvexHull
 
 from drake_exo.errors import InputError
@@ -20,7 +20,8 @@ from drake_exo.soles.loads import Load
 
 _DEGREE, _PIECES, _GRID = 5, 16, 161
 _SPEED_TIME = 0.03  # [s]; the ZMP's speed times it counts as a distance
-_NEAR = 1e-6  # of a bound's range: where it holds the ZMP
+_LEAST = 1e-8  # of the cost's size
+_LEFT = 1e-10  # of 1 where no ZMP keeps inside its bounds, rounding apart
 _HOLD = 1e2  # weight [1/s²] of keeping the feet's own ZMPs to their lines
 _SIDES = "back_m", "outer_m", "front_m", "inner_m"
 _INSIDE = 0.015  # metres that the ZMP stays inside a sole's outline
@@ -284,43 +285,43 @@ def _least_squares(A, b, equal, value, rows, low, high) -> np.ndarray:
     """The p of least |A p − b|² with equal p = value, low <= rows p <= high.
 
     The equalities are eliminated: derivatives of fourth order beside
-    positions would spoil the solver's conditioning.
+    positions would spoil the conditioning. Smooth while the same rows hold.
     """
-    from pydrake.solvers import ClarabelSolver, MathematicalProgram
-
     p0 = np.linalg.lstsq(equal, value)[0]
     free = null_space(equal)
     H, r, inside = A @ free, b - A @ p0, rows @ free
     low, high = low - rows @ p0, high - rows @ p0
-    scale = np.linalg.norm(H)
-    prog = MathematicalProgram()
-    y = prog.NewContinuousVariables(free.shape[1], "y")
-    prog.AddQuadraticCost(
-        2 * H.T @ H / scale**2, -2 * H.T @ r / scale**2, y, is_convex=True
-    )
-    prog.AddLinearConstraint(inside, low, high, y)
-    result = ClarabelSolver().Solve(prog)
-    if not result.is_success():
+    rows, at = np.vstack([inside, -inside]), np.concatenate([low, -high])
+    held = _held(H, r, rows, at)
+    if not held.any():
+        return p0 + free @ np.linalg.lstsq(H, r)[0]
+    base = np.linalg.lstsq(rows[held], at[held])[0]
+    Z = null_space(rows[held])
+    y = base + Z @ np.linalg.lstsq(H @ Z, r - H @ base)[0]
+    return p0 + free @ y
+
+
+def _held(H, r, rows, at) -> np.ndarray:
+    """Which rows y >= at hold the y of least |H y − r|, (k,) bool.
+
+    Least-distance programming in x = R y − Qᵀ r, H = Q R: the rows with a
+    multiplier above 0 (Lawson and Hanson, Solving Least Squares Problems,
+    1974, chapter 23).
+    """
+    # Without torque some walks cost nothing: R would be singular.
+    least = _LEAST * np.linalg.norm(H) * np.eye(H.shape[1])
+    Q, R = np.linalg.qr(np.vstack([H, least]))
+    W = np.linalg.solve(R.T, rows.T)
+    size = np.linalg.norm(W, axis=0)
+    above = (at - W.T @ (Q[: len(H)].T @ r)) / size
+    E = np.vstack([W / size, above / np.abs(above).max()])
+    multipliers, left = nnls(E, np.eye(len(E))[-1])
+    if left < _LEFT:
         raise InputError(
             "pattern: no ZMP inside its bounds carries this step; widen "
             "back_m to front_m and outer_m to inner_m, or slow the step"
         )
-    found = result.GetSolution(y)
-    return p0 + free @ _polished(found, H, r, inside, low, high)
-
-
-def _polished(y, H, r, rows, low, high) -> np.ndarray:
-    """The minimum on the bounds that hold the solver's: it is smooth then."""
-    value, near = rows @ y, _NEAR * (high - low)
-    below, above = value < low + near, value > high - near
-    held = np.concatenate([rows[below], rows[above]])
-    at = np.concatenate([low[below], high[above]])
-    base = np.linalg.lstsq(held, at)[0] if len(held) else np.zeros(len(y))
-    Z = null_space(held) if len(held) else np.eye(len(y))
-    exact = base + Z @ np.linalg.lstsq(H @ Z, r - H @ base)[0]
-    value = rows @ exact
-    good = (value >= low - near).all() and (value <= high + near).all()
-    return exact if good else y
+    return multipliers > 0
 
 
 def _zmp(spline, omega2, at, order=0):

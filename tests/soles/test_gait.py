@@ -113,9 +113,11 @@ def test_a_walk_may_shake_the_body_little_more_than_the_own_one(gait):
         np.testing.assert_allclose(gait.limits(x)[name], 1.1 - share, atol=1e-6)
 
 
-def test_slopes_of_a_walk_agree_with_wider_differences():
-    """Of force, ZMP and limits, by each variable."""
-    gait = Pattern(free=("step_time", "double_support")).gait(0.8)
+@pytest.mark.parametrize("back_m", [None, -0.07])
+def test_slopes_of_a_walk_agree_with_wider_differences(back_m):
+    """Of force, ZMP and limits, by each variable; on bounds, too."""
+    block = Pattern(back_m=back_m, free=("step_time", "double_support"))
+    gait = block.gait(0.8)
     x, h = gait.start + np.array([0.03, -0.02]), 3e-4
 
     def there(x):

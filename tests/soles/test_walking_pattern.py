@@ -205,6 +205,22 @@ def test_tight_bounds_hold_the_zmp():
     assert np.abs(z[:, 0]).max() == pytest.approx(bound, rel=0.02)
 
 
+@pytest.mark.parametrize("weight", [0.6, 0.01, 0.0])
+def test_bounds_that_hold_the_zmp_are_met(weight):
+    """Where the programme looks, exactly; without torque, too."""
+    t = np.linspace(0.0, 1.0, 161)
+    held = plan(replace(ROBOT, back_m=-0.05, torque_weight=weight))
+    z = held.zmp(t[t >= 0.195])
+    landing = _feet(held.zmp, 1.0, 0.0, 0.195)[1]
+    assert min(z[:, 0].min(), landing[0]) == pytest.approx(-0.05, abs=1e-10)
+    assert z[:, 0].max() <= 0.1 + 1e-10
+
+
+def test_a_walk_that_no_zmp_carries_is_refused():
+    with pytest.raises(InputError, match="widen back_m to front_m"):
+        plan(replace(ROBOT, double_support_s=0.05, front_m=0.02))
+
+
 def test_bounds_are_15_mm_inside_the_sole():
     """By default; of a sole that is no rectangle those of the largest one."""
     brick = np.array([[x, y] for x in (-0.115, 0.115) for y in (-0.065, 0.065)])
