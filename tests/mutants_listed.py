@@ -719,10 +719,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "np.max(self.tilt_deg[self.converged], initial=0.0)",
             "np.max(self.tilt_deg, initial=0.0)",
         ),
-        (
-            "moved.sum(axis=1) / F[:, :, 2].sum(axis=1)[:, None]",
-            "moved.sum(axis=1)",
-        ),
+        ("np.where(own[:, None], self.zmp, load.zmp)", "load.zmp"),
         ("margin.min() > 0)", "margin.max() > 0)"),
         ("P - Q) * law.penalty / scale", "P - Q) / scale"),
         ("margin = law.friction * f[:, 2] - size", "margin = f[:, 2] - size"),

@@ -34,7 +34,6 @@ _MAX_FRAMES = 110
 _MAP = "turbo"
 _METRES_PER_NEWTON = 2e-4
 _GRID_M, _FINE_M = 0.05, 0.01  # between lines; where ground is not flat
-_ROUNDS = 30  # each less by friction times slope
 _AGAIN = "run the command that wrote it again"
 _PAGE = """<!DOCTYPE html>
 <html>
@@ -131,14 +130,8 @@ class SoleMotion:
 
     def zero_moment_point(self) -> np.ndarray:
         """Of the contact forces, on the ground [m], (N, 3)."""
-        F, P = self.force, self.places
-        # About the world's origin; then at the height of the ground there.
-        moved = (P[:, :, :2] * F[:, :, 2:] - P[:, :, 2:] * F[:, :, :2]).sum(1)
-        total, height = F.sum(axis=1), np.zeros(len(F))
-        for _ in range(1 if self.ground.is_flat else _ROUNDS):
-            p = (moved + height[:, None] * total[:, :2]) / total[:, 2:]
-            height = self.ground.height(p)
-        return np.column_stack([p, height])
+        p = self.ground.zero_moment_point(self.force, self.places)
+        return np.column_stack([p, self.ground.height(p)])
 
     def thinned(self, most: int) -> SoleMotion:
         """At most that many samples, first and last among them."""

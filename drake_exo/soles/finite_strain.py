@@ -246,6 +246,7 @@ class FiniteStrainSolver:
         self, state: FiniteState, target: Target
     ) -> np.ndarray:
         """K_c (6, 6) about the ZMP at a solution, references frozen."""
+        target = target.about_own_zmp(state.F, self.places(state), self.ground)
         before = target.places_before(state.R, self.rest)
         frozen = replace(target, reference=before)
         point = self._evaluate(self._tau(state, frozen), state, frozen, 1.0)

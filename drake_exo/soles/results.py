@@ -256,18 +256,24 @@ class Step:
         NaN where nothing touches.
         """
         F, P = self.history.F, self.history.P
-        above = (
-            P[:, :, 2] - self.setup.ground.height(self.setup.load.zmp)[:, None]
-        )
-        moved = P[:, :, :2] * F[:, :, 2:] - above[:, :, None] * F[:, :, :2]
-        with np.errstate(invalid="ignore"):
-            return moved.sum(axis=1) / F[:, :, 2].sum(axis=1)[:, None]
+        return self.setup.ground.zero_moment_point(F, P)
+
+    @property
+    def _zmp_on_ground(self) -> np.ndarray:
+        """With its height, (N, 3)."""
+        zmp = self.zmp
+        return np.column_stack([zmp, self.setup.ground.height(zmp)])
+
+    @property
+    def free_moment(self) -> np.ndarray:
+        """Of the contact forces about the vertical through it [N·m], (N,)."""
+        arm = self.history.P - self._zmp_on_ground[:, None]
+        return np.cross(arm, self.history.F)[:, :, 2].sum(axis=1)
 
     @property
     def _zmp_in_sole(self) -> np.ndarray:
-        """The same in the sole's frame [m], (N, 2)."""
-        height = self.setup.ground.height(self.setup.load.zmp)
-        from_origin = np.column_stack([self.zmp, height]) - self.origin
+        """The ZMP in the sole's frame [m], (N, 2)."""
+        from_origin = self._zmp_on_ground - self.origin
         return np.einsum("qij,qi->qj", self.rotation, from_origin)[:, :2]
 
     @property
@@ -318,7 +324,7 @@ class Step:
 
     @property
     def stiffness(self) -> np.ndarray:
-        """K_c about the ZMP, [dF; dΓ] = K_c [dO; dω], (N, 6, 6)."""
+        """K_c about `zmp`, [dF; dΓ] = K_c [dO; dω], (N, 6, 6)."""
         return self.history.K_c.copy()
 
     @property
@@ -474,12 +480,21 @@ class Step:
         columns = {"time_s": load.times}
         forces = "force_x_n", "force_y_n", "force_z_n"
         columns |= zip(forces, load.force.T, strict=True)
-        columns["zmp_x_m"], columns["zmp_y_m"] = load.zmp.T
+        # Of a given pose what came out, and beside it what was recorded.
+        own = load.is_measured & self.converged
+        zmp = np.where(own[:, None], self.zmp, load.zmp)
+        columns["zmp_x_m"], columns["zmp_y_m"] = zmp.T
+        asked = dict(zip(("zmp_x_m", "zmp_y_m"), load.zmp.T, strict=True))
         if len(load.begins) > 1:
             columns["load"] = load.phase
             columns["weight"] = np.array(load.weights)[load.phase]
         if load.free_moment is not None:
-            columns["free_moment_nm"] = load.free_moment
+            columns["free_moment_nm"] = np.where(
+                own, self.free_moment, load.free_moment
+            )
+            asked["free_moment_nm"] = load.free_moment
+        if load.is_measured.any():
+            columns |= {f"recorded_{name}": x for name, x in asked.items()}
         places = "origin_x_m", "origin_y_m", "origin_z_m"
         columns |= zip(places, self.origin.T, strict=True)
         turns = "roll_deg", "pitch_deg", "yaw_deg"
@@ -639,14 +654,15 @@ class Step:
         folder.mkdir(parents=True, exist_ok=True)
         numbers = self.summary() | verdict.summary()
         numbers["complementarity"] = self.complementarity()
-        moment = self.setup.load.free_moment
+        table = self.table()
+        moment = table.get("free_moment_nm")
         if moment is not None:
             numbers["free_moment_nm"] = {
                 "mean": float(moment.mean()),
                 "largest": float(np.abs(moment).max()),
                 "cut_samples": self.setup.load.moments_cut,
             }
-        write_csv(folder / "steps.csv", self.table())
+        write_csv(folder / "steps.csv", table)
         write_history(
             folder / HISTORY, self.sole.mesh, self.times, self.history,
             self.setup.ground,

@@ -194,6 +194,15 @@ def test_a_pose_that_was_measured_is_kept_in_degrees(stored):
     R = found.setup.load.rotation
     np.testing.assert_allclose(np.degrees(angles_xyz(R)), angles)
     np.testing.assert_allclose(R, rotations_xyz(np.deg2rad(angles)))
+    # Beside the ZMP that came of it stands what was recorded.
+    path = folder / "steps.csv"
+    head, *rows = path.read_text().splitlines()
+    recorded = "recorded_zmp_x_m", "recorded_zmp_y_m", "recorded_free_moment_nm"
+    more = [f"{row},0.3,0.4,0.5" for row in rows]
+    path.write_text("\n".join([",".join([head, *recorded]), *more]))
+    load = find_designs(folder)[0].setup.load
+    np.testing.assert_array_equal(load.zmp, [[0.3, 0.4]] * 2)
+    np.testing.assert_array_equal(load.free_moment, [0.5] * 2)
 
 
 def test_a_design_whose_sample_did_not_converge_is_read(stored):

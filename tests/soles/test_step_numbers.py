@@ -11,10 +11,12 @@ from small_parts import complementarity as violation
 from small_step import write_case, write_step
 
 from drake_exo.soles import simulation
-from drake_exo.soles.case import Case
-from drake_exo.soles.contact.law import ContactLaw
+from drake_exo.soles.case import EXAMPLE, Case
+from drake_exo.soles.contact.law import ContactLaw, Ground
+from drake_exo.soles.contact.newton import ContactSolver
 from drake_exo.soles.load_blocks import Constant
 from drake_exo.soles.loads import Load
+from drake_exo.soles.numerics import rotations_xyz
 from drake_exo.soles.results import Step
 
 
@@ -204,6 +206,36 @@ def test_table_columns_are_in_the_unit_of_their_name(step):
     assert table["newton_iterations"].tolist() == [
         r.iterations for r in reports
     ]
+
+
+def test_figures_of_a_measured_pose_are_about_the_zmp_that_comes_out():
+    case, x = Case.from_text(EXAMPLE), np.linspace(-0.3, 0.3, 9)
+    ground = Ground(x, x, 0.2 * x[:, None] - 0.1 * x)
+    start = case.settings.start_pose(case.mesh, ground)
+    case = replace(case, ground=ground, start=start)
+    leans = rotations_xyz(np.array([0.004, 0.01, 0.0]))
+    load = replace(
+        case.load,
+        rotation=leans @ case.simulate().rotation,
+        free_moment=np.full(5, 0.1),
+    )
+    step = replace(case, load=load).simulate()
+    assert step.failed_steps == 0 and step.zmp_error > 0.01
+    table, F, P = step.table(), step.history.F, step.history.P
+    Z = np.stack([table["zmp_x_m"], table["zmp_y_m"]], axis=1)
+    Z = np.column_stack([Z, ground.height(Z)])
+    moment = np.cross(P - Z[:, None], F).sum(axis=1)
+    np.testing.assert_allclose(moment[:, :2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(table["free_moment_nm"], moment[:, 2])
+    np.testing.assert_array_equal(table["recorded_zmp_x_m"], load.zmp[:, 0])
+    np.testing.assert_array_equal(table["recorded_free_moment_nm"], 0.1)
+    # As of a free pose that is asked for this ZMP.
+    solver = ContactSolver.of(step.sole, step.law, ground=ground)
+    free = replace(load, rotation=None, zmp=step.zmp)
+    q = 3
+    target = free.target(q, P[q - 1], ground)
+    found = solver.linearise(step.history.state(q), target, P[q])
+    np.testing.assert_allclose(found.cartesian_stiffness, step.stiffness[q])
 
 
 def test_summary_is_in_the_unit_of_its_name(step):

@@ -10,7 +10,7 @@ import pytest
 from drake_exo.errors import InputError
 from drake_exo.soles import results
 from drake_exo.soles.case import EXAMPLE, Case
-from drake_exo.soles.contact.law import COLUMNS, Ground
+from drake_exo.soles.contact.law import COLUMNS, FLAT, Ground
 from drake_exo.soles.contact.newton import Convergence
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import rotations_xyz
@@ -143,13 +143,12 @@ def test_forces_in_kilonewtons_and_times_in_milliseconds_are_told():
     assert not late.holds and "250 s" in late.sentence
 
 
-def _step(F, P, converged=None, ground=None, zmp=None):
+def _step(F, P, converged=None, ground=FLAT, zmp=None):
     """A step of made-up forces (N, m, 3) at places."""
     count = len(F)
     zmp = np.zeros((count, 2)) if zmp is None else np.asarray(zmp, float)
     load = SimpleNamespace(zmp=zmp)
-    flat = SimpleNamespace(height=lambda P: np.zeros(len(P)))
-    setup = SimpleNamespace(load=load, ground=ground or flat)
+    setup = SimpleNamespace(load=load, ground=ground)
     good = np.ones(count, bool) if converged is None else converged
     history = SimpleNamespace(
         F=np.asarray(F, float), P=np.asarray(P, float), converged=good
@@ -162,13 +161,18 @@ def test_the_zmp_of_forces_at_heights():
     rng = np.random.default_rng(0)
     F = rng.uniform(1, 2, (3, 5, 3)) * [1, -1, 30]
     P = rng.uniform(-0.1, 0.1, (3, 5, 3))
-    lifted = SimpleNamespace(height=lambda z: np.array([0.3, -0.2, 0.0]))
-    for ground, heights in ((None, np.zeros(3)), (lifted, [0.3, -0.2, 0.0])):
-        found = _step(F, P, ground=ground).zmp
+    # Slopes, and forces, of up to 45°; its height is that of where it is.
+    F[1, :, 0] = 25.0
+    x = np.linspace(-0.5, 0.5, 41)
+    bumps = 0.3 + 0.5 * x[:, None] + 0.02 * np.sin(20 * x)
+    for ground in (FLAT, Ground(x, x, bumps)):
+        step = _step(F, P, ground=ground)
         for q in range(3):
-            arm = P[q] - [*found[q], heights[q]]
+            height = ground.height(step.zmp[q : q + 1])
+            arm = P[q] - [*step.zmp[q], *height]
             moment = np.cross(arm, F[q]).sum(axis=0)
             np.testing.assert_allclose(moment[:2], 0.0, atol=1e-12)
+            assert step.free_moment[q] == pytest.approx(moment[2])
     none = _step(0 * F, P)
     assert np.isnan(none.zmp).all()
 

@@ -142,6 +142,7 @@ ARRAYS = ("ground_x", "ground_y", "ground_z")
 _LEAST = 4  # grid lines along an axis, for cubic pieces
 _STEEPEST = 1.0  # 45°
 _WIDEST_M = 1.0  # between grid lines
+_ZMP_STEPS = 8  # of Newton's
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,6 +285,28 @@ class Ground:
             n[:, :, None] * by_n[:, 2:] + n[:, 2, None, None] * by_n
         )
         return moved, hat(n) @ by_n
+
+    def zero_moment_point(self, F: np.ndarray, P: np.ndarray) -> np.ndarray:
+        """On the ground, of forces F [N] at places P [m], (N, m, 3) each.
+
+        [m], (N, 2); NaN where there are none.
+        """
+        out = np.full((len(F), 2), np.nan)
+        there = F[:, :, 2].sum(axis=1) != 0
+        F, P = F[there], P[there]
+        total, level = F.sum(axis=1), P[:, :, :2] * F[:, :, 2:]
+        z = level.sum(axis=1) / total[:, 2:]
+        level = (level - P[:, :, 2:] * F[:, :, :2]).sum(axis=1)
+        along, up = total[:, :2], total[:, 2:]
+        for _ in range(1 if self.is_flat else _ZMP_STEPS):
+            off = level + self.height(z)[:, None] * along - up * z
+            slope = self.slope(z)
+            rise, turn = (
+                (slope * x).sum(axis=1, keepdims=True) for x in (off, along)
+            )
+            z = z + (off + along * rise / (up - turn)) / up
+        out[there] = z
+        return out
 
     def arrays(self) -> dict[str, np.ndarray]:
         """As they are kept in history.npz; nothing of a flat one."""

@@ -6,7 +6,7 @@ moment about the desired ZMP. What depends on every contact node is compiled.
 Symbols as in docs/soles.md.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -195,6 +195,16 @@ class Target:
             before.height + part * (self.height - before.height),
         )
 
+    def about_own_zmp(self, F, P, ground: Ground) -> "Target":
+        """Itself; where the pose is given, about the ZMP that comes out.
+
+        That of nodal forces F [N] at places P [m], world, (m, 3) each.
+        """
+        if self.rotation is None:
+            return self
+        zmp = ground.zero_moment_point(F[None], P[None])
+        return replace(self, zmp=zmp[0], height=float(ground.height(zmp)[0]))
+
     def missed(self, wrench: np.ndarray) -> np.ndarray:
         """What a wrench (6,) about the ZMP lacks where it is asked for."""
         out = np.zeros(6)
@@ -291,7 +301,11 @@ class ContactSolver:
     def linearise(
         self, state: State, target: Target, P: np.ndarray
     ) -> Linearisation:
-        """Derivatives at a solution, references frozen, nodes at P (m, 3)."""
+        """Derivatives at a solution, references frozen, nodes at P (m, 3).
+
+        About the ZMP, of a given pose the forces' own.
+        """
+        target = target.about_own_zmp(state.F, P, self.ground)
         point = self._evaluate(state, target, False, 1.0, P)
         return self._linearisation(point, target)
 

@@ -140,8 +140,11 @@ class _Step:
     """One sample, linearised once and reversed for all functionals."""
 
     def __init__(self, solver, history: StepHistory, q: int, target: Target):
-        self.solver, self.target, self.q = solver, target, q
+        self.solver, self.q = solver, q
         self.state = state = history.state(q)
+        self.target = target = target.about_own_zmp(
+            state.F, history.P[q], solver.ground
+        )
         self.lin = (
             history.linear[q] if history.linear
             else solver.linearise(state, target, history.P[q])
@@ -223,6 +226,12 @@ class _Step:
         """By the ZMP, which stays on the ground, from (3,) to (2,)."""
         return by_point[:2] + by_point[2] * self.rise
 
+    def _own_zmp_adjoint(self, by_point: np.ndarray) -> np.ndarray:
+        """Multiplier (1, 3) of Σ (P − Z) × F, level and 0 at the own ZMP Z."""
+        turned = cross(self.lin.F.sum(axis=0)[None], np.eye(3)[:2])
+        A = np.stack([self._on_ground(x) for x in turned], axis=1)
+        return np.append(np.linalg.solve(A, by_point), 0.0)[None]
+
     def _stiffness_terms(self, sums, terms, bP, bF, bQ, bA, b_w) -> None:
         """Add direct derivatives of uᵀ K_c v; terms are functional, u and v.
 
@@ -255,8 +264,13 @@ class _Step:
         for i, functional in enumerate(owners):
             bP[functional] += by_P[i]
             # The arm is P − Z.
-            by_point = self._on_ground(by_arm[i].sum(axis=0))
-            sums[functional].load[self.q, 3:] -= by_point
+            by_point = -self._on_ground(by_arm[i].sum(axis=0))
+            if self.target.rotation is None:
+                sums[functional].load[self.q, 3:] += by_point
+            else:
+                level = self._own_zmp_adjoint(by_point)
+                bP[functional] += cross(F, level)
+                bF[functional] += cross(level, arm)
             bF[functional] += by_F[i]
             bQ[functional] += r * p[i]
             bA[functional] += by_axes[i]

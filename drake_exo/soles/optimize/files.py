@@ -320,7 +320,12 @@ def read_design(folder: Path) -> StoredDesign:
         angles = [table[name] for name in names]
         R = rotations_xyz(np.deg2rad(angles).T)
         R[~np.array(held)[load.phase]] = np.nan
-        load = replace(load, rotation=R)
+        zmp_x, zmp_y, moment = (
+            table.get(f"recorded_{name}", table.get(name))
+            for name in ("zmp_x_m", "zmp_y_m", "free_moment_nm")
+        )
+        zmp = np.column_stack([zmp_x, zmp_y])
+        load = replace(load, zmp=zmp, free_moment=moment, rotation=R)
     return StoredDesign(folder, Setup(settings, load, mesh, start, ground))
 
 
