@@ -121,6 +121,7 @@ _SHARP = 0.77  # cosine between the normals beside a sharp edge: 40 degrees
 _PATCH = 4.0  # least area of a patch, in squares of a typical size
 _SAME_VOLUME = 0.05  # of what a surface encloses, that a mesh may miss
 _SAMPLES = 20_000  # points of a surface at which it is compared with a mesh
+_LEVEL = 0.02  # of a typical size: Mmg leaves nodes so far off a flat top
 _THERE = 0.3  # of a typical size: a node that is on an edge already
 _LEAST_QUALITY = 0.3  # of elements whose nodes are moved
 _SHORTER = 12  # times that a move is halved
@@ -322,6 +323,8 @@ def sole_from_surface(
     check_size(places, surface.name, end)
     check_turned(places, surface.name)
     top = _top_faces(surface, top_m)
+    if top_m is None:
+        surface, top = _levelled(surface, top)
     if origin is None:
         extent = np.ptp(places, axis=0).max()
         origin = _guess_origin(surface.corners[top].reshape(-1, 3), extent)
@@ -382,6 +385,21 @@ def _top_faces(surface: Surface, top_m: float | None) -> np.ndarray:
     )
     check_top(surface.corners, up & flat, surface.name, more)
     return up & flat
+
+
+def _levelled(surface: Surface, top) -> tuple[Surface, np.ndarray]:
+    """All that reaches a flat top's lowest corner in one plane; its faces.
+
+    At the height above and below which there is as much of the top.
+    """
+    z, own = surface.corners[..., 2], surface.corners[top]
+    heights, area = own[..., 2].ravel(), np.repeat(normals_of(own)[:, 2], 3)
+    order = heights.argsort()
+    part = area[order].cumsum()
+    height = heights[order][np.searchsorted(part, 0.5 * part[-1])]
+    level = z >= heights.min()
+    xy, z = surface.corners[..., :2], np.where(level, height, z)
+    return replace(surface, corners=np.dstack([xy, z])), level.all(axis=1)
 
 
 def _meshed(thickness: "_Thickness", top, flat: bool, tets: int):
@@ -535,7 +553,7 @@ def _onto(nodes, cells, corners, top, flat):
     free = np.ones(len(skin), dtype=bool)
     if flat:
         height = corners[top][:, :, 2].max()
-        up = skin[np.abs(nodes[skin, 2] - height) < 1e-6]
+        up = skin[np.abs(nodes[skin, 2] - height) < _LEVEL * size]
         faces = mesh.boundary_faces
         rim = np.intersect1d(up, faces[~np.isin(faces, up).all(axis=1)])
         aim[up] = nodes[up]
@@ -630,10 +648,10 @@ def _fixed_nodes(nodes, cells, corners, top, flat) -> np.ndarray:
     """Nodes of the surface that lie on the top."""
     mesh = TetMesh(nodes, cells, np.zeros(0, int))
     skin = np.unique(mesh.boundary_faces)
+    size = np.cbrt(np.median(mesh.volumes))
     if flat:
         height = corners[top][:, :, 2].max()
-        return skin[np.abs(nodes[skin, 2] - height) < 1e-9]
-    size = np.cbrt(np.median(mesh.volumes))
+        return skin[np.abs(nodes[skin, 2] - height) < _LEVEL * size]
     away = _nearest(corners[top], nodes[skin])[2]
     return skin[away < 0.1 * size]
 

@@ -11,6 +11,7 @@ from shoe import shoe_surface
 import drake_exo.soles.surface as module
 from drake_exo import cli
 from drake_exo.errors import InputError
+from drake_exo.soles import surface
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.mesh import (
     brick,
@@ -262,6 +263,24 @@ def test_a_box_keeps_its_edges(tets, scanned):
     corner[:, 2] -= size[2] / 2
     away, _ = cKDTree(mesh.nodes).query(corner)
     assert (away < 1e-3).sum() >= 7
+
+
+def test_a_top_that_is_nearly_flat_is_glued_whole(monkeypatch):
+    box = _spiked(_box(np.array([0.25, 0.1, 0.03])))
+    off = 4e-4 * np.where(box[..., 2] < 0, 0, box[..., 0])
+    nearly = Surface(box + np.dstack([0 * off, 0 * off, off]), "")
+
+    def meshed(thickness, top, *_):
+        corners = thickness.corners
+        assert np.ptp(corners[top][..., 2]) == 0
+        assert (corners[~top][..., 2].min(axis=1) < -0.02).all()
+        volume = np.linalg.det(corners).sum() / 6
+        assert volume == pytest.approx(7.5e-4, rel=2e-3)
+        raise MmgError("seen")
+
+    monkeypatch.setattr(surface, "_meshed", meshed)
+    with pytest.raises(InputError, match="seen"):
+        sole_from_surface(nearly)
 
 
 def _words(key, rows, form="{:g}"):
