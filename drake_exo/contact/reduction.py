@@ -339,7 +339,8 @@ def reduce_sole(
     Args:
         samples: what `dx.soles.sole_samples` says.
         spheres: how many.
-        planar: pitch and forward alone, as an exoskeleton's foot knows them.
+        planar: pitch and forward alone, as an exoskeleton's foot knows them;
+            forward is where the sole heads, in its mean.
 
     Returns:
         Spheres and errors; `law` is a `SoleLaw`, `write("law.yaml")` what
@@ -412,15 +413,22 @@ def _deviations(best) -> np.ndarray:
 
 
 def _in_plane(samples: Samples) -> Samples:
-    """Without roll, yaw and what lies sideways."""
-    pitch = np.arcsin(np.clip(samples.rotation[:, 0, 2], -1, 1))
+    """Without roll, and what lies sideways of where the sole heads.
+
+    In its mean; how it turns about that is left out.
+    """
+    R = samples.rotation
+    yaw = np.arctan2(-R[:, 0, 1].sum(), R[:, 0, 0].sum())
+    ahead = np.array([np.cos(yaw), np.sin(yaw)])
+    pitch = np.arcsin(np.clip(R[:, :2, 2] @ ahead, -1, 1))
     c, s, zero, one = np.cos(pitch), np.sin(pitch), 0 * pitch, 0 * pitch + 1
     turn = np.array([[c, zero, s], [zero, one, zero], [-s, zero, c]])
+    x, height = samples.origin[:, :2] @ ahead, samples.origin[:, 2]
     return replace(
         samples,
-        origin=samples.origin * [1.0, 0.0, 1.0],
+        origin=np.stack([x, zero, height], axis=1),
         rotation=np.moveaxis(turn, 2, 0),
-        cop=samples.cop * [1.0, 0.0],
+        cop=np.stack([samples.cop @ ahead, zero], axis=1),
     )
 
 

@@ -241,6 +241,24 @@ def test_how_deep_a_sole_is():
     assert high.depth == 1e-6
 
 
+def test_a_plane_is_the_sole_s_own():
+    """However the laboratory is turned."""
+    samples = _truth(planar=True)
+    plain = reduction._in_plane(samples)
+    for yaw in (0.35, 2.0, np.pi):
+        c, s = np.cos(yaw), np.sin(yaw)
+        R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        turned = replace(
+            samples,
+            origin=samples.origin @ R.T,
+            rotation=R @ samples.rotation,
+            cop=samples.cop @ R[:2, :2].T,
+        )
+        flat = vars(reduction._in_plane(turned))
+        for name, value in vars(plain).items():
+            np.testing.assert_allclose(flat[name], value, atol=1e-14)
+
+
 def test_a_plane_has_no_roll_nor_sideways():
     """Its pitch is that of the pose; heights and lengths stay."""
     origin, R = _poses()
