@@ -1,6 +1,9 @@
 """From a MathematicalProgram to IPOPT: neutral ground for both halves."""
 
 import ctypes
+import signal
+import threading
+from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
 from importlib.metadata import files
@@ -20,3 +23,25 @@ def load_ipyopt() -> ModuleType:
             if file.name.startswith(stem):
                 ctypes.CDLL(str(file.locate()), ctypes.RTLD_GLOBAL)
     return import_module("ipyopt")
+
+
+@contextmanager
+def stop_on_interrupt(stop: threading.Event):
+    """Turn the first Ctrl-C into a request to stop; the second raises.
+
+    Python's own would surface within IPOPT's C++.
+    """
+
+    def handle(number, frame):
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    previous = None
+    if threading.current_thread() is threading.main_thread():
+        previous = signal.signal(signal.SIGINT, handle)
+    try:
+        yield
+    finally:
+        if previous is not None:
+            signal.signal(signal.SIGINT, previous)

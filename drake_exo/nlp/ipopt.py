@@ -3,7 +3,6 @@
 A `Solution` says whether the solve succeeded, and is sealed if it did not.
 """
 
-import signal
 import threading
 import time
 from collections.abc import Callable
@@ -14,7 +13,7 @@ from pydrake.solvers import IpoptSolver, MathematicalProgram
 from pydrake.solvers import SolverOptions as DrakeSolverOptions
 
 from drake_exo.errors import InputError
-from drake_exo.nlp import load_ipyopt
+from drake_exo.nlp import load_ipyopt, stop_on_interrupt
 from drake_exo.nlp.infeasibility import Excess, relax
 from drake_exo.nlp.program import (
     BatchedProgram,
@@ -266,7 +265,7 @@ def solve(
     def relaxed(program, y):
         return _relaxed(program, y, options, on_iterate, start, stop)
 
-    with _stop_on_interrupt(stop):
+    with stop_on_interrupt(stop):
         for strategy in options.strategies:
             if strategy == "patient" and binding:
                 continue  # long, where something is known already
@@ -526,27 +525,6 @@ def _solution(problem, y, objective, status, watch, iterations, elapsed):
         evaluations=dict(problem.evaluations),
         _values=problem.expand(y),
     )
-
-
-class _stop_on_interrupt:  # noqa: N801 (a context manager)
-    """Turns the first Ctrl-C into a request to stop; the second raises."""
-
-    def __init__(self, stop):
-        self._stop = stop
-        self._previous = None
-
-    def __enter__(self):
-        if threading.current_thread() is threading.main_thread():
-            self._previous = signal.signal(signal.SIGINT, self._handle)
-
-    def _handle(self, number, frame):
-        if self._stop.is_set():
-            raise KeyboardInterrupt
-        self._stop.set()
-
-    def __exit__(self, *_):
-        if self._previous is not None:
-            signal.signal(signal.SIGINT, self._previous)
 
 
 def solve_with_drake(

@@ -14,7 +14,7 @@ from pydrake.solvers import IpoptSolver, MathematicalProgram
 from small_programs import Circle, pushed_cart, valleys
 
 from drake_exo.errors import InputError
-from drake_exo.nlp import ipopt, load_ipyopt
+from drake_exo.nlp import ipopt, load_ipyopt, stop_on_interrupt
 from drake_exo.nlp.ipopt import SealedSolutionError, SolverOptions
 from drake_exo.nlp.program import BatchedProgram, variable_bounds
 from drake_exo.nlp.sparse import SparseProgram
@@ -188,7 +188,7 @@ def test_interruption_is_told_of_an_infeasible_problem_too(last, nth):
 
 def test_a_second_interruption_is_not_withheld():
     stop = threading.Event()
-    with pytest.raises(KeyboardInterrupt), ipopt._stop_on_interrupt(stop):
+    with pytest.raises(KeyboardInterrupt), stop_on_interrupt(stop):
         os.kill(os.getpid(), signal.SIGINT)
         assert stop.is_set()
         os.kill(os.getpid(), signal.SIGINT)

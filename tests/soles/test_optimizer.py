@@ -1,5 +1,7 @@
 """The search by IPOPT on a quadratic whose optimum is known in closed form."""
 
+import os
+import signal
 from types import SimpleNamespace
 
 import numpy as np
@@ -161,6 +163,24 @@ def test_ctrl_c_surfaces_after_the_search():
     problem.cost = cost
     with pytest.raises(KeyboardInterrupt):
         minimise(problem, np.full(4, 0.4), (0.0, 2.0), 50)
+
+
+def test_ctrl_c_does_not_surface_within_ipopt():
+    """What runs ends, nothing else is computed, the old handler is back."""
+    costs, problem = [], Quadratic()
+    plain = problem.cost
+
+    def cost(p):
+        if len(costs) == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+        costs.append((plain(p), problem.evaluations))
+        return costs[-1][0]
+
+    problem.cost = cost
+    with pytest.raises(KeyboardInterrupt):
+        minimise(problem, np.full(4, 0.4), (0.0, 2.0), 50)
+    assert len(costs) == 4 and problem.evaluations == costs[-1][1]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_what_progress_raises_ends_the_search():

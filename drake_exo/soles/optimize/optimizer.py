@@ -10,10 +10,11 @@ taught serves the fine ones.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from threading import Event
 
 import numpy as np
 
-from drake_exo.nlp import load_ipyopt
+from drake_exo.nlp import load_ipyopt, stop_on_interrupt
 from drake_exo.soles.optimize.limits import FEASIBLE
 from drake_exo.soles.optimize.problem import ShapeProblem
 
@@ -181,7 +182,7 @@ class _Callbacks:
     ):
         self.problem, self.curvature, self.best = problem, curvature, best
         self.say = say
-        self.raised, self.stalled = None, False
+        self.stop, self.stalled, self._error = Event(), False, None
         # Cost, violation, error, iteration, rejections at the last change.
         self._mark = (np.inf, np.inf, np.inf, 0, 0)
         self._point, self._derivatives = None, None
@@ -201,16 +202,25 @@ class _Callbacks:
             self.best.consider(p, *cost_and_violation(self.problem, p))
         return self._derivatives
 
+    @property
+    def raised(self) -> BaseException | None:
+        """What ends the search: the first error, or Ctrl-C (`stop`)."""
+        return self._error or (
+            KeyboardInterrupt() if self.stop.is_set() else None
+        )
+
     def guarded(self, function, instead=np.nan):
-        """Ctrl-C and errors must not surface inside IPOPT's C++: stop at the
-        next iteration instead; they are raised again afterwards.
+        """Errors must not surface inside IPOPT's C++: compute no more and stop
+        at the next iteration; they are raised again afterwards.
         """
 
         def call(*args):
+            if self.raised:
+                return instead
             try:
                 return function(*args)
             except BaseException as error:
-                self.raised = self.raised or error
+                self._error = error
                 return instead
 
         return call
@@ -333,9 +343,10 @@ def minimise(
         high[:] = warm.barrier / np.maximum(bounds[1] - warm.latest, 1e-9)
         if problem.evaluate(warm.p) is not None:
             best.consider(warm.p, *cost_and_violation(problem, warm.p))
-    p, _, status = solver.solve(
-        p0, mult_g=multipliers, mult_x_L=low, mult_x_U=high
-    )
+    with stop_on_interrupt(calls.stop):
+        p, _, status = solver.solve(
+            p0, mult_g=multipliers, mult_x_L=low, mult_x_U=high
+        )
     if calls.raised:
         raise calls.raised
     best.status = _STATUS.get(status, f"IPOPT code {status}")
