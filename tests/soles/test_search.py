@@ -12,7 +12,7 @@ from drake_exo.soles import settings
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.optimize import search
-from drake_exo.soles.optimize.files import Checkpoint
+from drake_exo.soles.optimize.files import Checkpoint, read_checkpoint
 from drake_exo.soles.optimize.limits import limits_of
 from drake_exo.soles.optimize.optimizer import Optimum
 from drake_exo.soles.optimize.search import (
@@ -490,6 +490,22 @@ def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
     assert further.at.starts == (*run.at.starts, row)
     # Outside of its limits it is not compared by its cost.
     assert said[2:] == ["it goes"]
+
+
+def test_a_resumed_run_takes_its_checkpoints_along(case, tmp_path, monkeypatch):
+    """It may be interrupted before there is another."""
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(search, "search_jobs", stopped)
+    own = Checkpoint(1, 2, np.ones(2), np.ones(2), curvature=np.eye(2))
+    for at in (Checkpoint(begun=(None, own)), own):
+        with pytest.raises(KeyboardInterrupt):
+            search.optimise(case, tmp_path, str, at)
+        kept = read_checkpoint(tmp_path)
+        kept = kept if at is own else kept.begun[1]
+        assert (kept.stage, kept.iteration) == (1, 2)
 
 
 # Walk and sole

@@ -103,12 +103,13 @@ class Checkpoint:
             )
 
     def write(self, folder: Path) -> None:
-        """Write checkpoint.json, whole or not at all."""
+        """Write checkpoint.json, whole or not at all, and make its folder."""
         kept = vars(self) | {
             "coefficients": self.p,
             "curvature": self.curvature[np.tril_indices(len(self.p))],
         }
         del kept["p"], kept["begun"]
+        folder.mkdir(exist_ok=True)
         write_json(folder / CHECKPOINT, kept)
 
 

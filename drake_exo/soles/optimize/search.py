@@ -126,6 +126,12 @@ def optimise(
     shape of each, see `start_design`, by default the brick and the first bends.
     """
     began = time.perf_counter()
+    if resume is not None:  # it may end before there is another checkpoint
+        for start, begun in enumerate(resume.begun):
+            if begun is not None:
+                _keep(begun, start_folder(out, start))
+        if resume.p is not None:
+            _keep(resume, out)
     jobs = search_jobs(setup, out, resume, bends)
 
     def end(row: Ended) -> None:
@@ -313,8 +319,6 @@ def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
     checkpoint, None for none.
     """
     began, block = time.perf_counter(), setup.settings.optimize
-    if out is not None:
-        out.mkdir(exist_ok=True)
     if at is not None and len(at.starts) > number:
         # Finished before an interruption.
         row = at.starts[number]
