@@ -61,10 +61,13 @@ def test_a_design_is_beside_its_initial_shape(design):
 
 
 def test_all_stages_count(design):
-    """Two of them: what was iterated in each, all simulations, the last."""
+    """Two of them: what was iterated in each, all simulations, the last.
+
+    They were the second and third of a run that went on.
+    """
     rows = [(3, 1.0, 2.0, 3.0), (4, 0.5, 0.1, 0.2), (5, 0.4, 0.1, 0.1)]
-    first = Optimum(np.ones(1), simulations=7, trace=rows)
-    (last,) = design.optima
+    first = Optimum(np.ones(1), simulations=7, trace=rows, stage=1)
+    last = replace(design.optima[0], stage=2)
     two = replace(design, optima=[first, last])
     told = two.summary()
     assert told["iterations"] == [2, 4]
@@ -72,7 +75,7 @@ def test_all_stages_count(design):
     assert told["status"] == last.status
     history = two.history
     count = len(last.trace)
-    assert history["stage"].tolist() == [1.0] * 3 + [2.0] * count
+    assert history["stage"].tolist() == [2.0] * 3 + [3.0] * count
     assert history["iteration"].tolist() == [3.0, 4.0, 5.0, *range(count)]
     for k, name in enumerate(("cost", "violation", "dual_infeasibility"), 1):
         wanted = [row[k] for row in (*rows, *last.trace)]

@@ -273,6 +273,7 @@ def test_a_stage_goes_on_where_it_stands(case, monkeypatch):
     assert given["problem"].law.layer == 1e-4
     assert [row[0] for row in run.optimum.trace] == [4, 5, 6, 7, 8]
     assert run.optimum.trace[2][1:] == (-2.5, 0.25, 0.125)
+    assert run.optimum.stage == 1
     # Every third iteration is kept; in the end, the last stage to go on with.
     assert [(c.stage, c.iteration) for c in kept] == [(1, 7)]
     assert (run.at.stage, run.at.iteration, run.at.barrier) == (1, 0, 1e-7)

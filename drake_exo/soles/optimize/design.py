@@ -126,9 +126,7 @@ class Design:
         dual_infeasibility.
         """
         rows = [
-            [number + 1, *row]
-            for number, best in enumerate(self.optima)
-            for row in best.trace
+            [best.stage + 1, *row] for best in self.optima for row in best.trace
         ]
         columns = np.array(rows, dtype=float).reshape(-1, len(TRACE)).T
         return dict(zip(TRACE, columns, strict=True))

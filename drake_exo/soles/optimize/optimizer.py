@@ -127,6 +127,7 @@ class Optimum:
         simulations: How many it took.
         trace: Rows (iteration, cost, violation, dual infeasibility).
         former: Those that were the best before.
+        stage: Of a search, from 0.
     """
 
     p: np.ndarray
@@ -142,6 +143,7 @@ class Optimum:
     simulations: int = 0
     trace: list = field(default_factory=list)
     former: list = field(default_factory=list)
+    stage: int = 0
 
     def consider(self, p: np.ndarray, cost: float, violation: float) -> None:
         """Keep the better of this design and the best so far."""

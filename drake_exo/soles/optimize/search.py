@@ -439,6 +439,7 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
         note, refining=number > 0, hessian_approximation=approximation,
         warm=None if at.barrier is None else at,
     )  # fmt: skip
+    best.stage = number
     best.trace = [(at.iteration + row[0], *row[1:]) for row in best.trace]
     best.latest = (best.p, best.multipliers, WARM_BARRIER)
     following = min(number + 1, len(block.stages) - 1)
