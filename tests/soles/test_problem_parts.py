@@ -84,6 +84,18 @@ def test_sample_weights_stand_for_all_samples():
         assert picked[-1] == 218
 
 
+@pytest.mark.parametrize("fraction", [0.1, 0.5, 1.0])
+def test_all_samples_are_all(fraction):
+    """However many of them are in heel strike."""
+    strike = int(40 * fraction)
+    for samples in (None, 40, 70):
+        picked, by_tr, by_rot = thinned(40, samples, fraction)
+        np.testing.assert_array_equal(picked, np.arange(40))
+        np.testing.assert_array_equal(by_tr, picked < strike)
+        np.testing.assert_array_equal(by_rot, np.ones(40))
+    assert len(thinned(40, 38, fraction)[0]) == 38
+
+
 def test_soft_minimum_is_below_and_its_shares_add_up():
     x = np.array([0.5, 0.1, 0.3])
     value, share = soft_minimum(x)

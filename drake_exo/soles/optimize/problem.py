@@ -441,12 +441,13 @@ def thinned(total: int, samples: int | None, fraction: float):
     """Which samples to simulate and what each counts in the sums.
 
     A third of them in heel strike, whose stiffness changes most from sample to
-    sample; what lies between two counts as linear in time. Picked, weights in
-    c_tr and in c_rot, (k,) each.
+    sample, or more where there are no others left; what lies between two counts
+    as linear in time. Picked, weights in c_tr and in c_rot, (k,) each.
     """
     strike = heel_strike_count(total, fraction)
     count = min(samples or total, total)
-    early = min(strike, max(4, round(count / 3)))
+    early = max(round(count / 3), 4, count - (total - strike))
+    early = min(strike, early)
     late = min(total - strike, max(2, count - early))
     parts = [
         _evenly(first, last, number)
