@@ -1,5 +1,6 @@
 """What is told of a design, against what its sole and its step say."""
 
+from copy import copy
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -257,6 +258,13 @@ def test_what_is_printed_is_measured_in_millimetres(design, tmp_path):
     assert sole["undercut"] == design.mesh.undercut
     assert sole["watertight"] is True
     assert told["mould.stl"] == {"watertight": True, "least_wall_mm": 10.0}
+    # What limits leave out, since it stays as it was given, is there, too.
+    heel = design.problem.mesh.nodes[:, 0] < 0
+    surface = replace(design.problem.surface, moving=~heel)
+    held = copy(design.problem)
+    held.surface = surface
+    held = replace(design, problem=held)
+    assert held._write_stl(tmp_path)["sole.stl"] == sole
 
 
 def test_the_last_design_is_verified_by_the_exact_law(design):

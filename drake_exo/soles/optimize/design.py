@@ -190,7 +190,10 @@ class Design:
 
     @property
     def _surface(self) -> dict[str, float]:
-        return self.problem.surface.measures(self.mesh)
+        """Of all of it, what the limits leave out too, as it stays."""
+        limits = self.problem.surface
+        all_nodes = np.ones_like(limits.moving)
+        return replace(limits, moving=all_nodes).measures(self.mesh)
 
     def active(self) -> list[str]:
         """Names of the limits that hold the design, and of what is kept."""
@@ -269,7 +272,7 @@ class Design:
             finer: What `check_finer` has found, if it has been asked.
         """
         limits, name = self.problem.limits, self.setup.name
-        surface = self._surface
+        surface = self.problem.surface.measures(self.mesh)
         cm3 = 1e6 * self.mesh.volume
         # Of poses that are not prescribed.
         free = ~self.setup.load.is_measured
