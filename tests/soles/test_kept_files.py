@@ -11,6 +11,7 @@ from drake_exo.errors import InputError
 from drake_exo.papers import de_magistris
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact.law import COLUMNS, FLAT, Ground
+from drake_exo.soles.load_blocks import LoadBlock
 from drake_exo.soles.mesh import SphericalSpline, write_vtk
 from drake_exo.soles.numerics import angles_xyz, rotations_xyz
 from drake_exo.soles.optimize.files import (
@@ -203,6 +204,25 @@ def test_a_pose_that_was_measured_is_kept_in_degrees(stored):
     load = find_designs(folder)[0].setup.load
     np.testing.assert_array_equal(load.zmp, [[0.3, 0.4]] * 2)
     np.testing.assert_array_equal(load.free_moment, [0.5] * 2)
+
+
+def test_a_measured_pose_beside_a_file_of_several_phases_is_kept(stored):
+    """Which of them belong to a block, its weight tells."""
+    folder, case, _ = stored
+    given = case.settings.load
+    walk = LoadBlock(recording="there.yaml", trial="w", foot="left",
+                     pose="measured", weight=2.0)  # fmt: skip
+    blocks = (given, walk, replace(given, weight=0.1))
+    settings = replace(case.settings, load=None, loads=blocks)
+    write_case(folder, settings, case.start)
+    path = folder / "steps.csv"
+    head, row, _ = path.read_text().splitlines()
+    weights = 0.3333, 0.6667, 2.0, 0.1
+    rows = [f"{k}{row[1:]},{k},{w}" for k, w in enumerate(weights)]
+    path.write_text("\n".join([f"{head},load,weight", *rows]))
+    (found,) = find_designs(folder)
+    measured = [False, False, True, False]
+    assert found.setup.load.is_measured.tolist() == measured
 
 
 def test_a_design_whose_sample_did_not_converge_is_read(stored):

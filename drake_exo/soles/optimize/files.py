@@ -10,7 +10,7 @@ from drake_exo.files import schema
 from drake_exo.files.output import read_arrays, read_json, write_json
 from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.contact.newton import Start
-from drake_exo.soles.loads import read_columns, read_csv
+from drake_exo.soles.loads import Load, read_columns, read_csv
 from drake_exo.soles.mesh import SphericalSpline, read_mesh
 from drake_exo.soles.numerics import rotations_xyz
 from drake_exo.soles.settings import Settings, Setup, StartBlock
@@ -314,13 +314,13 @@ def read_design(folder: Path) -> StoredDesign:
         kept = read_arrays(folder / HISTORY, "optimise the sole again")
         ground = Ground.of_arrays(kept)
     start = settings.start_pose(mesh, ground)
-    held = [block.pose == "measured" for block in settings.all_loads]
-    if any(held):
+    held = _held(settings, load)
+    if held.any():
         names = "roll_deg", "pitch_deg", "yaw_deg"
         table = read_columns(folder / STEPS, names, names)
         angles = [table[name] for name in names]
         R = rotations_xyz(np.deg2rad(angles).T)
-        R[~np.array(held)[load.phase]] = np.nan
+        R[~held[load.phase]] = np.nan
         zmp_x, zmp_y, moment = (
             table.get(f"recorded_{name}", table.get(name))
             for name in ("zmp_x_m", "zmp_y_m", "free_moment_nm")
@@ -328,6 +328,18 @@ def read_design(folder: Path) -> StoredDesign:
         zmp = np.column_stack([zmp_x, zmp_y])
         load = replace(load, zmp=zmp, free_moment=moment, rotation=R)
     return StoredDesign(folder, Setup(settings, load, mesh, start, ground))
+
+
+def _held(settings: Settings, load: Load) -> np.ndarray:
+    """Contact phases whose poses are prescribed, (K,).
+
+    Phases of a block, of which there may be several, share its weight.
+    """
+    blocks, shares = settings.all_loads, load.shares
+    ends = np.cumsum([block.weight for block in blocks])
+    middle = np.cumsum(shares) - 0.5 * shares
+    measured = np.array([block.pose == "measured" for block in blocks])
+    return measured[np.searchsorted(ends / ends[-1], middle)]
 
 
 def read_summary(folder: Path) -> dict:
