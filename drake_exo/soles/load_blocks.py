@@ -12,7 +12,12 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
-from drake_exo.files.schema import exactly_one, positive, quantity
+from drake_exo.files.schema import (
+    exactly_one,
+    not_negative,
+    positive,
+    quantity,
+)
 from drake_exo.files.tables import missing_column
 from drake_exo.soles.loads import (
     MOST_SAMPLES,
@@ -303,6 +308,7 @@ class Pattern(Robot):
     """Own walking pattern; the defaults are the authors' 80 kg robot's."""
 
     period_s: float = quantity("s", 0.005, minimum=1e-4)
+    first_s: float = not_negative("s", 0.0)
     least_share: float = quantity(None, 0.13, above=0.0, below=1.0)
     free: tuple[
         Literal["step_length", "step_time", "double_support", "zmp"], ...
@@ -310,11 +316,16 @@ class Pattern(Robot):
 
     def gait(self, friction: float) -> Gait:
         """The walk, and what of it may change."""
-        return Gait(self, self.free, friction, self.period_s, self.least_share)
+        return Gait(
+            self, self.free, friction, self.period_s, self.least_share,
+            self.first_s,
+        )  # fmt: skip
 
     def load(self, root: Path | None = None) -> Load:
         """Plan the step; the right foot's load."""
-        return plan(self).foot_load(self.period_s, self.least_share)
+        return plan(self).foot_load(
+            self.period_s, self.least_share, start=self.first_s
+        )
 
 
 # Reads a step, a `measurement.steps.RecordedStep`, seen from the foot: of the

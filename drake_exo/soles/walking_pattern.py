@@ -164,6 +164,7 @@ class Pattern:
         period: float = 0.005,
         least: float = 0.1,
         like: Robot | None = None,
+        start: float = 0.0,
     ) -> Load:
         """Force and ZMP of the right foot over its whole contact phase.
 
@@ -172,11 +173,12 @@ class Pattern:
             least: Leave samples out below this part of the weight.
             like: Whose number of samples is taken, spread over the time in
                 which this foot bears as much.
+            start: Time since landing from which they are counted [s].
         """
         robot, other = self.robot, like or self.robot
         T, D = robot.step_time_s, robot.double_support_s
         first, last = other.bearing(least)
-        t = np.arange(0.0, last + 1e-9, period)
+        t = np.arange(start, last + 1e-9, period)
         t = t[t >= first]
         if like is not None:
             begin, end = robot.bearing(least)
@@ -377,7 +379,7 @@ class Gait:
         free: Of step_length, step_time, double_support; and zmp, whose path
             is drawn to a place near the ankle by a weight.
         friction: Of the contact.
-        period, least: As `Pattern.foot_load`.
+        period, least, first: As `Pattern.foot_load`; its `start`.
     """
 
     robot: Robot
@@ -385,6 +387,7 @@ class Gait:
     friction: float
     period: float
     least: float
+    first: float = 0.0
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
@@ -459,7 +462,7 @@ class Gait:
         """Load; speed; |c̈|; the CoM's place off its path's middle in time."""
         pattern, t = plan(robot), np.linspace(0, robot.step_time_s, 41)
         return (
-            pattern.foot_load(self.period, self.least, self.robot),
+            pattern.foot_load(self.period, self.least, self.robot, self.first),
             robot.step_length_m / robot.step_time_s,
             np.linalg.norm(pattern.com(t, 2), axis=1),
             pattern.com(t)[:, 1] - robot.step_width_m / 2,

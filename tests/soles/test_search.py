@@ -521,13 +521,15 @@ def test_the_better_of_a_sole_with_its_walk_and_alone(alone):
     x, searched = setup.gait.start + np.array([0.0, -0.2]), []
 
     def design(c, variables):
+        own = setup.load
+        walked = setup.gait.load(variables) if len(variables) else own
         return SimpleNamespace(
             step=SimpleNamespace(
                 c=c, c_tr=c + 1, c_rot=1.0, failed_steps=int(np.isnan(c))
             ),
             problem=SimpleNamespace(gait=setup.gait),
             walk=variables,
-            setup=setup,
+            setup=replace(setup, load=walked),
         )
 
     def sole(still):
@@ -547,6 +549,12 @@ def test_the_better_of_a_sole_with_its_walk_and_alone(alone):
     limits = setup.gait.limits(setup.gait.start if alone == 4.0 else x)
     pattern = best.setup.settings.load.pattern
     assert not pattern.free and pattern.step_time_s == time[1]
+    # What is written has the samples that were simulated.
+    for name in ("times", "force", "zmp"):
+        written, own = (
+            getattr(x, name) for x in (pattern.load(), best.setup.load)
+        )
+        np.testing.assert_allclose(written, own, atol=1e-9)
     assert best.gait["least_limit"] == min(v.min() for v in limits.values())
 
 

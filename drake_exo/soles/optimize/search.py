@@ -306,9 +306,13 @@ def _beside_alone(setup: Setup, design: Design, search) -> Design:
         "c_tr_sole_alone": alone.step.c_tr,
         "c_rot_sole_alone": alone.step.c_rot,
     }
-    # The case that is written has as many samples as the search had.
-    period = gait.period * spans[1] / spans[0]
-    design.setup = _walking(design.setup, replace(robots[1], period_s=period))
+    # The case that is written has the samples that the search had.
+    walk = replace(
+        robots[1],
+        period_s=gait.period * spans[1] / spans[0],
+        first_s=float(design.setup.load.times[0]),
+    )
+    design.setup = _walking(design.setup, walk)
     return design
 
 
