@@ -390,13 +390,16 @@ def _top_faces(surface: Surface, top_m: float | None) -> np.ndarray:
 def _levelled(surface: Surface, top) -> tuple[Surface, np.ndarray]:
     """All that reaches a flat top's lowest corner in one plane; its faces.
 
-    At the height above and below which there is as much of the top.
+    At z = 0 where it reaches there, for the frame's sake; else at the height
+    above and below which there is as much of it.
     """
     z, own = surface.corners[..., 2], surface.corners[top]
     heights, area = own[..., 2].ravel(), np.repeat(normals_of(own)[:, 2], 3)
     order = heights.argsort()
     part = area[order].cumsum()
     height = heights[order][np.searchsorted(part, 0.5 * part[-1])]
+    if heights.min() <= 0 <= heights.max():
+        height = 0.0
     level = z >= heights.min()
     xy, z = surface.corners[..., :2], np.where(level, height, z)
     return replace(surface, corners=np.dstack([xy, z])), level.all(axis=1)
