@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import meshio
 import numpy as np
 import pytest
 from small_step import stage, write_case, write_step
@@ -15,6 +16,7 @@ from drake_exo.files import schema
 from drake_exo.soles.contact.law import Ground
 from drake_exo.soles.load_blocks import Constant
 from drake_exo.soles.loads import read_csv
+from drake_exo.soles.mesh import brick
 from drake_exo.soles.settings import MeshBlock, OptimizeBlock, ShapeBlock
 
 HEAD = "time_s,force_x_n,force_y_n,force_z_n,zmp_x_m,zmp_y_m"
@@ -108,6 +110,24 @@ def test_lengths_and_keys_of_a_case():
     text = "force_n: [0, 0, 9]\nzmp_m: [0, 0]\nsamples: 1000000000"
     with pytest.raises(InputError, match="samples is 1000000000, but must be"):
         schema.load_text(text, Constant)
+
+
+@pytest.mark.parametrize("above", [2e-5, 0.02])
+def test_a_frame_below_the_top(tmp_path, above):
+    """Where left and right have no directions of the spline between them."""
+    mesh = brick((0.23, 0.13, 0.03), (4, 3, 1))
+    cells = [("tetra", mesh.tets)]
+    meshio.Mesh(mesh.nodes, cells).write(tmp_path / "sole.vtk")
+    text = dx.soles.EXAMPLE
+    mesh = text[text.index("mesh:") : text.index("material:")]
+    given = f"mesh: {{file: sole.vtk, origin_m: [0, 0, {-above}]}}\n"
+    text = text.replace(mesh, given)
+    if above < 1e-3:
+        found = dx.soles.Case.from_text(text, tmp_path)
+        assert found.mesh.nodes[:, 2].max() == pytest.approx(above)
+        return
+    with pytest.raises(InputError, match=r"20\.0 mm above its frame"):
+        dx.soles.Case.from_text(text, tmp_path)
 
 
 def test_an_empty_surface(case):
