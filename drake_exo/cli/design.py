@@ -150,10 +150,13 @@ def _laboratory(path: Path, study: RecordedStudy) -> dict:
     return about
 
 
-def _windows(study: RecordedStudy) -> dict[str, dict[str, float | None]]:
+_WINDOW = "rise", "seated_s", "start_s", "end_s", "begin", "end"
+
+
+def _windows(study: RecordedStudy) -> dict[str, dict]:
     """Used part of each trial for prediction, by its name."""
     return {
-        t.name: {"start_s": t.start_s, "end_s": t.end_s}
+        t.name: {key: getattr(t, key) for key in _WINDOW}
         for t in study.file.trials
         if t.use == "prediction"
     }

@@ -77,7 +77,8 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
     joints = {joint.get("name"): joint for joint in owner.findall("joint")}
     for name, joint in joints.items():
         follows = next(joint.iter("mimic"), None) is not None
-        if follows and name not in device.fixed:
+        stays = name in device.fixed or _ends(joint) <= set(device.weld)
+        if follows and not stays:
             raise InputError(
                 f"{device.name}: joint {name!r} follows another one (mimic), "
                 "here every joint turns by itself; take it out, or make the "
@@ -229,13 +230,14 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
     """Give each link a frame whose y is across the plane, in place.
 
     Those of CAD lie in any way: one whose y is not that of the welded link
-    takes that one's axes, at the same origin. Places in an SDF are then told
-    from the model and from links alone: joints and links' names may change.
+    that it hangs from takes that one's axes, at the same origin. Places in an
+    SDF are then told from the model and from links alone: joints and links'
+    names may change.
     """
     is_sdf = owner.tag == "model"
     plant = MultibodyPlant(0.0)
     text = ET.tostring(root, encoding="unicode")
-    instance = _parsed(Parser(plant), device, text)
+    instance = add_device(Parser(plant), plant, device, text)
     plant.Finalize()
     context = plant.CreateDefaultContext()
     hung = [plant.get_joint(i) for i in plant.GetJointIndices(instance)]
@@ -245,15 +247,15 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
     bodies = [plant.get_body(i) for i in plant.GetBodyIndices(instance)]
     # L is a link's frame in the file, P in the plane, M the model's.
     X_ML = {b.name(): b.EvalPoseInWorld(context) for b in bodies}
-    R_MW = next((X_ML[w].rotation() for w in device.weld if w in X_ML), None)
-    if R_MW is None:  # told when it is welded
-        return
+    ends = [(j.parent_body().name(), j.child_body().name()) for j in hung]
     X_LP = {}
-    for name, X in X_ML.items():
-        R_LW = X.rotation().inverse() @ R_MW
-        off = np.abs(R_LW.matrix()[:, 1] - [0.0, 1.0, 0.0]).max()
-        is_kept = name in device.weld or off <= _STRAIGHT
-        X_LP[name] = RigidTransform() if is_kept else RigidTransform(R_LW)
+    for part in connected(X_ML, ends):
+        R_MW = next(X_ML[w].rotation() for w in device.weld if w in part)
+        for name in part:
+            R_LW = X_ML[name].rotation().inverse() @ R_MW
+            off = np.abs(R_LW.matrix()[:, 1] - [0.0, 1.0, 0.0]).max()
+            is_kept = name in device.weld or off <= _STRAIGHT
+            X_LP[name] = RigidTransform() if is_kept else RigidTransform(R_LW)
     turned = {n for n, X in X_LP.items() if not X.IsExactlyIdentity()}
     told = {key for element in root.iter() for key in element.attrib}
     if not turned and not told & _TOLD_FROM:
@@ -264,19 +266,19 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
         if not is_sdf and name not in turned:
             continue
         for shape in link.findall("visual"):
-            if shape.find("pose[@relative_to]") is None:
-                _put(shape, is_sdf, X_LP[name].inverse() @ _place(shape))
-            else:  # it is drawn, and no more
+            X_LV = _place(shape)
+            if X_LV is None:  # it is drawn, and no more
                 link.remove(shape)
+            else:
+                _put(shape, is_sdf, X_LP[name].inverse() @ X_LV)
         if is_sdf:
             _put(link, is_sdf, X_MP[name])
         if link.find("inertial") is not None:
             body = plant.GetBodyByName(name, instance)
             _write_inertia(link, is_sdf, body, context, X_LP[name])
     elements = {e.get("name"): e for e in owner.findall("joint")}
-    for joint in hung:
-        a, b = joint.parent_body().name(), joint.child_body().name()
-        if a not in X_MP:  # the world: floating, or refused later
+    for joint, (a, b) in zip(hung, ends, strict=True):
+        if a not in X_MP:  # it floats
             continue
         if not is_sdf and not {a, b} & turned:
             continue
@@ -285,8 +287,10 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
             # Its axis counts in its own frame, which stays.
             X_LJ = joint.frame_on_child().GetFixedPoseInBodyFrame()
             _put(element, is_sdf, X_LP[b].inverse() @ X_LJ)
+            for end, link in (("parent", a), ("child", b)):
+                element.find(end).text = link
             if kind in _AXIS:
-                xyz = element.find("axis/xyz")
+                xyz = _child(_child(element, "axis"), "xyz")
                 xyz.attrib.clear()
                 xyz.text = _numbers(getattr(joint, _AXIS[kind])())
         else:
@@ -294,7 +298,7 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
             if kind in _AXIS:
                 R_PL = X_LP[b].rotation().inverse()
                 along = R_PL @ getattr(joint, _AXIS[kind])()
-                element.find("axis").set("xyz", _numbers(along))
+                _child(element, "axis").set("xyz", _numbers(along))
     for frame in owner.findall("frame"):
         owner.remove(frame)
     for key in ("canonical_link", "placement_frame"):
@@ -317,20 +321,41 @@ def _numbers(values) -> str:
     return " ".join(repr(float(x) + 0.0) for x in values)
 
 
-def _place(owner: ET.Element) -> RigidTransform:
-    """Where an element says that it is, in the frame that it belongs to."""
-    origin, pose = owner.find("origin"), owner.find("pose")
-    if origin is not None:
-        p, r = (origin.get(k, "0 0 0").split() for k in ("xyz", "rpy"))
-    elif pose is not None and (pose.text or "").strip():
-        p, r = np.split(np.array(pose.text.split(), float), [3])
-        if pose.get("rotation_format") == "quat_xyzw":
-            return RigidTransform(Quaternion(r[[3, 0, 1, 2]]), p)
-        if pose.get("degrees") in ("true", "1"):
-            r = np.deg2rad(r)
-    else:
-        return RigidTransform()
-    p, r = np.array(p, float), np.array(r, float)
+def _child(owner: ET.Element, tag: str) -> ET.Element:
+    """An element in another; one that says nothing is made."""
+    found = owner.find(tag)
+    return ET.SubElement(owner, tag) if found is None else found
+
+
+def connected(names, edges) -> list[set[str]]:
+    """Names in groups that edges (a, b) hold together."""
+    parts = [{name} for name in names]
+    for edge in edges:
+        met = [part for part in parts if part & set(edge)]
+        parts = [part for part in parts if part not in met]
+        parts.append(set().union(*met))
+    return [part for part in parts if part]
+
+
+def _place(shape: ET.Element) -> RigidTransform | None:
+    """Where a shape says that it is in its link, None if that is not clear."""
+    origin, pose = shape.find("origin"), shape.find("pose")
+    if pose is not None and pose.get("relative_to"):
+        return None
+    try:
+        if origin is not None:
+            p, r = (origin.get(k, "0 0 0").split() for k in ("xyz", "rpy"))
+        elif pose is not None and (pose.text or "").strip():
+            p, r = np.split(np.array(pose.text.split(), float), [3])
+            if pose.get("rotation_format") == "quat_xyzw":
+                return RigidTransform(Quaternion(r[[3, 0, 1, 2]]), p)
+            if pose.get("degrees") in ("true", "1"):
+                r = np.deg2rad(r)
+        else:
+            return RigidTransform()
+        p, r = np.array(p, float).reshape(3), np.array(r, float).reshape(3)
+    except ValueError:
+        return None
     return RigidTransform(RollPitchYaw(r), p)
 
 
@@ -405,16 +430,20 @@ def without_stiff_joints(device: DeviceFile, text: str) -> str:
     """
     root, owner = _owner(device, text)
     for joint in owner.findall("joint"):
-        ends = [joint.find(end) for end in ("parent", "child")]
-        names = {
-            None if end is None else end.get("link") or (end.text or "").strip()
-            for end in ends
-        }
-        if names <= set(device.weld):
+        if _ends(joint) <= set(device.weld):
             owner.remove(joint)
     if device.file is not None:
         _without_meshes(owner)
     return ET.tostring(root, encoding="unicode")
+
+
+def _ends(joint: ET.Element) -> set[str | None]:
+    """Links that a joint of the file joins."""
+    ends = [joint.find(end) for end in ("parent", "child")]
+    return {
+        None if end is None else end.get("link") or (end.text or "").strip()
+        for end in ends
+    }
 
 
 def _without_meshes(owner: ET.Element) -> None:
@@ -430,14 +459,6 @@ def _without_meshes(owner: ET.Element) -> None:
                 link.remove(shape)
 
 
-def _parsed(parser, device: DeviceFile, text: str) -> ModelInstanceIndex:
-    try:
-        (instance,) = parser.AddModelsFromString(text, device.kind)
-    except (RuntimeError, ValueError) as error:
-        raise InputError(f"{device.name}: {reason(error)}") from error
-    return instance
-
-
 def add_device(
     parser, plant: MultibodyPlant, device: DeviceFile, text: str
 ) -> ModelInstanceIndex:
@@ -448,7 +469,10 @@ def add_device(
             attached to nothing, or joints close a loop.
     """
     text = without_stiff_joints(device, text)
-    instance = _parsed(parser, device, text)
+    try:
+        (instance,) = parser.AddModelsFromString(text, device.kind)
+    except (RuntimeError, ValueError) as error:
+        raise InputError(f"{device.name}: {reason(error)}") from error
     links = link_names(plant, instance)
     for link in device.weld:
         if link not in links:

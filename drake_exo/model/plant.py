@@ -9,7 +9,8 @@ and hip flexion are positive. Seen from the right, counter-clockwise (about
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -51,6 +52,7 @@ from drake_exo.model.description import (
 from drake_exo.model.device_file import (
     add_device,
     check_planar,
+    connected,
     link_names,
     missing_link,
     placed,
@@ -492,17 +494,33 @@ def _riding(model: Model, tree: PlanarTree) -> dict[str, str]:
         for a, b in ([*edges * len(edges), *inward]) * len(edges):
             if a in rides and b not in (*rides, *segments):
                 rides[b] = rides[a]
-    free = {}
-    for link in (name for name in rides if name not in held):
-        free.setdefault(tuple(tree.turning(link)), []).append(link)
-    for group in list(free.values()) * len(free):
-        choices = [
-            rides | dict.fromkeys(group, s)
-            for s in (rides[group[0]], *segments)
-        ]
-        rides = min(choices, key=lambda r: _strain(assembly, tree, r))
+    free = [name for name in rides if name not in held]
+    inside = [edge for edge in ends if set(edge) <= set(free)]
+    person = [tree.joints[name] for name in tree.coordinates.human]
+    for chain in connected(free, inside):
+        met = {n for edge in ends if set(edge) & chain for n in edge}
+        between = _between(person, {rides[n] for n in met})
+        groups: dict[tuple, list[str]] = {}  # what turns together
+        for name in filter(chain.__contains__, free):
+            groups.setdefault(tuple(tree.turning(name)), []).append(name)
+        choices = [rides]  # which stays where none is slacker
+        for on in product(between, repeat=len(groups)):
+            moved = zip(groups.values(), on, strict=True)
+            choices.append(rides | {n: s for g, s in moved for n in g})
+        rides = min(choices, key=partial(_strain, assembly, tree))
     shells = [name + _SHELL for name in assembly.cuffs]
     return {link: s for link, s in rides.items() if link not in shells}
+
+
+def _between(joints, segments) -> list[str]:
+    """Segments on the way from one to another of some, over joints (a, b)."""
+    edges = list(joints)
+    while True:
+        ends = [name for edge in edges for name in edge]
+        loose = {n for n in ends if ends.count(n) == 1} - set(segments)
+        if not loose:
+            return list(dict.fromkeys([*segments, *ends]))
+        edges = [edge for edge in edges if not loose & set(edge)]
 
 
 def _strain(assembly: Assembly, tree: PlanarTree, rides) -> float:

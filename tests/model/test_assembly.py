@@ -639,9 +639,8 @@ def test_descriptions_that_cannot_be_are_refused(text, words):
     ],
 )
 def test_names_that_are_not_there_are_refused(assembly, words):
-    model = built(assembly)
     with pytest.raises(InputError, match=words):
-        model.cuffs, model.spheres  # noqa: B018
+        (model := built(assembly)).cuffs, model.spheres  # noqa: B018
 
 
 def test_cuffs_of_the_shipped_device_are_called_as_their_segments(nominal):
@@ -874,3 +873,83 @@ def test_a_link_between_goes_where_the_cuffs_stay_slack():
         for body in model.tree.cuffs["thigh"]
     ]
     np.testing.assert_allclose(*ends, atol=1e-12)
+
+
+def test_bars_without_straps_go_with_the_segments_beside_them():
+    """From the foot up to the pelvis, joints on the person's: slack."""
+    spans = HUMAN.shank.length_m, HUMAN.thigh.length_m
+    links = ("shoe", "shank_bar", "thigh_bar", "belt")
+    joint = (
+        '<joint name="j{0}" type="continuous"><parent link="{1}"/>'
+        '<child link="{2}"/><origin xyz="0 0 {3}"/><axis xyz="0 1 0"/></joint>'
+    )
+    text = "".join(
+        f'<link name="{n}"><inertial><mass value="1"/>{ROUND}</inertial></link>'
+        for n in links
+    ) + "".join(
+        joint.format(i, links[i], links[i + 1], height)
+        for i, height in enumerate((0.0, *spans))
+    )
+    assembly = Assembly(
+        device=DeviceFile({"shoe": "foot"}, Path("up.urdf")),
+        cuffs={"waist": CuffLinks("pelvis", "belt")},
+    )
+    text = f'<robot name="r">{text}</robot>'
+    names = Model(brought_in(assembly, text), HUMAN).coordinates
+    assert names.turned_by.tolist() == np.diag([1.0, -1.0, 1.0]).tolist()
+
+
+HALF = """<link name="shoe_{0}"><pose>0 0 0 {1}</pose>{3}</link>
+<link name="calf_{0}"><pose relative_to="j_{0}"/>{3}</link>
+<frame name="knee_{0}" attached_to="calf_{0}"/>
+<joint name="j_{0}" type="revolute"><pose relative_to="shoe_{0}"/>
+<parent>shoe_{0}</parent><child>knee_{0}</child>
+<axis><xyz>0 {2} 0</xyz></axis></joint>"""
+
+
+def test_either_side_of_a_device_may_be_drawn_its_own_way():
+    """Each half hangs from its own welded link; joints' ends are frames."""
+    inertial = (
+        "<inertial><pose>0.1 0 0.1 0 0 0</pose><mass>1</mass><inertia>"
+        "<ixx>0.1</ixx><iyy>0.1</iyy><izz>0.1</izz></inertia></inertial>"
+    )
+    found = []
+    for turn in ("0 0 0", "0 0 3.14159265358979", "0 0 1.5707963267949"):
+        text = HALF.format("left", "0 0 0", 1, inertial)
+        text += HALF.format("right", turn, 1, inertial)
+        sides = ("left", "right")
+        assembly = Assembly(
+            Person("two"),
+            DeviceFile(
+                {f"shoe_{s}": f"foot_{s}" for s in sides}, Path("h.sdf")
+            ),
+            {s: CuffLinks(f"shank_{s}", f"calf_{s}") for s in sides},
+        )
+        text = f'<sdf version="1.9"><model name="d">{text}</model></sdf>'
+        tree = Model(brought_in(assembly, text), HUMAN).tree
+        motion = np.random.default_rng(0).normal(
+            size=(3, 4, tree.num_positions)
+        )
+        found.append(tree.inverse_dynamics(*motion))
+    np.testing.assert_allclose(found[1], found[0], atol=1e-9)
+    np.testing.assert_allclose(found[2], found[0], atol=1e-9)
+
+
+def test_loops_of_an_sdf_are_refused():
+    joint = (
+        '<joint name="j{0}" type="revolute"><parent>{0}</parent>'
+        "<child>{1}</child><axis><xyz>0 1 0</xyz></axis></joint>"
+    )
+    more = '<link name="bar"/>' + joint.format("shank", "bar")
+    more += joint.format("bar", "shoe") + "</model>"
+    assembly = Assembly(device=DeviceFile({"shoe": "foot"}, Path("d.sdf")))
+    with pytest.raises(InputError, match="'jbar' closes a loop"):
+        brought_in(assembly, SDF.replace("</model>", more))
+
+
+def test_an_axis_that_is_left_out_is_the_format_s_own():
+    turned = '<child link="calf"/><origin rpy="0 0 1.5707963267949"/>'
+    model = edited(
+        ANKLE, ('<child link="calf"/>', turned), ('<axis xyz="0 1 0"/>', "")
+    )
+    assert model.coordinates.turned_by.tolist() == [[1.0, 0.0, 0.0]]
