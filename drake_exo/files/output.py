@@ -251,8 +251,9 @@ def _read_manifest(folder: Path) -> set[str]:
     place = folder / MANIFEST
     text = place.read_bytes() if place.is_file() else b""
     # Of a damaged one what is still the name of a file.
-    lines = text.decode("utf-8", "replace").replace("\0", "\n").splitlines()
-    return {line for line in lines if line and _is_inside(folder, line)}
+    lines = os.fsdecode(text).split("\n")
+    names = {line.replace("\0", "\n") for line in lines if line}
+    return {name for name in names if _is_inside(folder, name)}
 
 
 def _own(folder: Path) -> set[str]:
@@ -267,8 +268,9 @@ def _is_inside(folder: Path, name: str) -> bool:
 
 
 def _write_manifest(folder: Path, names: set[str]) -> None:
-    text = "".join(f"{name}\n" for name in sorted(names))
-    (folder / MANIFEST).write_text(text, encoding="utf-8")
+    # A user's file may be called anything, a line break (told as \0) included.
+    lines = (name.replace("\n", "\0") + "\n" for name in sorted(names))
+    (folder / MANIFEST).write_bytes(os.fsencode("".join(lines)))
 
 
 def write_json(path: str | Path, obj: Any) -> None:

@@ -38,7 +38,9 @@ def stop_on_interrupt(stop: threading.Event):
         stop.set()
 
     previous = None
-    if threading.current_thread() is threading.main_thread():
+    is_main = threading.current_thread() is threading.main_thread()
+    # A job begun by `&` ignores it.
+    if is_main and callable(signal.getsignal(signal.SIGINT)):
         previous = signal.signal(signal.SIGINT, handle)
     try:
         yield

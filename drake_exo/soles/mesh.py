@@ -447,8 +447,10 @@ def check_top(corners: np.ndarray, top: np.ndarray, name, more="") -> None:
 def _guess_origin(mesh: TetMesh, extent: float, path) -> np.ndarray:
     top = mesh.nodes[mesh.fixed]
     z, near = top[:, 2].mean() if len(top) else 0.0, 1e-7 * extent
-    # A curved top, which has to be told, has no height to tell a frame by.
-    if abs(z) <= near or np.ptp(top[:, 2]) > near:
+    # A curved top, which has to be told, has no height to tell a frame by; a
+    # footbed lies below its rim.
+    at_zero = min(abs(z), abs(mesh.nodes[:, 2].max())) <= near
+    if at_zero or np.ptp(top[:, 2]) > near:
         return np.zeros(3)
     low, high = top[:, :2].min(axis=0), top[:, :2].max(axis=0)
     area = 0.5 * mesh.areas(mesh.top_faces)[0][:, 2].sum()

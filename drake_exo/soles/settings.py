@@ -197,9 +197,6 @@ class Stage:
 
 
 _FAR = 2.0  # metres: on no sole
-# Of a sole's length: above the frame the spline has no other directions, and
-# left and right part.
-_ABOVE = 1e-3
 _FINE = (18, 12, 4)
 # Strains and poses depend on the mesh: the fine one from the start. Smooth
 # shapes first; then twice, since each stage begins with what the largest strain
@@ -470,18 +467,12 @@ class Setup:
         """What settings name, read, paths from a folder; see `Case.read`.
 
         Raises:
-            InputError: A file cannot be read, the sole reaches above its
-                frame, the ZMP leaves it, or the force the friction cone; a
-                fixed patch holds none of the sole, or all.
+            InputError: A file cannot be read, the ZMP leaves the sole, or
+                the force the friction cone; a fixed patch holds none of the
+                sole, or all.
         """
         root, friction = Path(data_root), settings.contact.friction
         mesh = settings.read_mesh(root, mesh_file)
-        above = mesh.nodes[:, 2].max()
-        if above > _ABOVE * np.ptp(mesh.nodes, axis=0).max():
-            raise InputError(
-                f"mesh: the sole reaches {1e3 * above:.1f} mm above its "
-                "frame, and has to lie at z <= 0; give mesh.origin_m in its top"
-            )
         settings = settings.walking_on(mesh.nodes[mesh.contact, :2])
         ground = settings.ground.read(root) if settings.ground else FLAT
         start = settings.start_pose(mesh, ground)

@@ -286,6 +286,22 @@ def test_what_a_killed_run_left_is_its_own(tmp_path, resume):
     assert names == [MANIFEST, *theirs, "two.txt"]
 
 
+def test_a_user_s_file_may_be_called_anything(tmp_path):
+    """Kept by runs that go on, are killed, and begin again."""
+    target = tmp_path / "out"
+    with prepare_output_folder(target) as folder:
+        (folder / "one.txt").write_text("before")
+    theirs = [os.fsdecode(b"m\xfcller"), "a\u2028b", "a\nb", "*"]
+    for name in theirs:
+        (target / name).write_text("mine")
+    folder = prepare_output_folder(target, resume=True)
+    os.close(folder._lock)
+    with prepare_output_folder(target, force=True) as folder:
+        (folder / "two.txt").write_text("new")
+    names = {p.name for p in target.iterdir()}
+    assert names == {MANIFEST, *theirs, "two.txt"}
+
+
 def test_a_run_killed_while_it_replaces_can_be_replaced(tmp_path, monkeypatch):
     target = tmp_path / "out"
     with prepare_output_folder(target) as folder:

@@ -640,7 +640,7 @@ def test_descriptions_that_cannot_be_are_refused(text, words):
 )
 def test_names_that_are_not_there_are_refused(assembly, words):
     with pytest.raises(InputError, match=words):
-        (model := built(assembly)).cuffs, model.spheres  # noqa: B018
+        (model := built(assembly)).cuffs, model.spheres
 
 
 def test_cuffs_of_the_shipped_device_are_called_as_their_segments(nominal):

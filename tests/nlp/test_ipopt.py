@@ -195,6 +195,18 @@ def test_a_second_interruption_is_not_withheld():
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+def test_a_job_that_ignores_interruption_goes_on_ignoring_it():
+    """As shells have it of those that are begun by `&`."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with stop_on_interrupt(stop := threading.Event()):
+            os.kill(os.getpid(), signal.SIGINT)
+        assert not stop.is_set()
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def test_a_start_near_a_solution_stays_near():
     program, _ = valleys(radius=1.2)
     options = SolverOptions(tolerance=1e-9)

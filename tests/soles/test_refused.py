@@ -16,7 +16,8 @@ from drake_exo.files import schema
 from drake_exo.soles.contact.law import Ground
 from drake_exo.soles.load_blocks import Constant
 from drake_exo.soles.loads import read_csv
-from drake_exo.soles.mesh import brick
+from drake_exo.soles.mesh import brick, read_mesh
+from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.settings import MeshBlock, OptimizeBlock, ShapeBlock
 
 HEAD = "time_s,force_x_n,force_y_n,force_z_n,zmp_x_m,zmp_y_m"
@@ -122,12 +123,32 @@ def test_a_frame_below_the_top(tmp_path, above):
     mesh = text[text.index("mesh:") : text.index("material:")]
     given = f"mesh: {{file: sole.vtk, origin_m: [0, 0, {-above}]}}\n"
     text = text.replace(mesh, given)
+    found = dx.soles.Case.from_text(text, tmp_path)
+    assert found.mesh.nodes[:, 2].max() == pytest.approx(above)
+    stage = found.settings.optimize.stages[0]
     if above < 1e-3:
-        found = dx.soles.Case.from_text(text, tmp_path)
-        assert found.mesh.nodes[:, 2].max() == pytest.approx(above)
+        assert ShapeProblem(found, stage).first is not None
         return
     with pytest.raises(InputError, match=r"20\.0 mm above its frame"):
-        dx.soles.Case.from_text(text, tmp_path)
+        found.optimize()
+
+
+def test_a_footbed_below_its_rim_keeps_its_frame(tmp_path):
+    """A cup's: the rim is at z = 0, what is glued below it."""
+    mesh = brick((0.24, 0.12, 0.03), (6, 4, 3))
+    middle = np.abs(mesh.nodes[mesh.tets].mean(axis=1))
+    hollow = (middle[:, 0] < 0.08) & (middle[:, 1] < 0.03)
+    tets = mesh.tets[~(hollow & (middle[:, 2] < 0.01))]
+    inside = (np.abs(mesh.nodes[:, 0]) < 0.081) & (
+        np.abs(mesh.nodes[:, 1]) < 0.031
+    )
+    bed = inside & np.isclose(mesh.nodes[:, 2], -0.01)
+    told = {"fixed": bed.astype(float)}
+    path = tmp_path / "cup.vtk"
+    meshio.Mesh(mesh.nodes, [("tetra", tets)], point_data=told).write(path)
+    found = read_mesh(path)
+    assert found.nodes[found.fixed, 2] == pytest.approx(-0.01)
+    assert found.nodes[:, 0].min() == pytest.approx(-0.12)
 
 
 def test_an_empty_surface(case):

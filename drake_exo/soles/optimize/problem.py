@@ -47,6 +47,9 @@ _WORST_SHARPNESS = 40.0  # of the largest of some loads' costs
 _WALK_SHARPNESS = 200.0  # of a walk's largest acceleration, sway and slip
 _ROUGHEST = 20.0  # how much farther the roughest change is, in `metric`
 _LEAST_QUALITY = 0.35  # of an element's own at rest
+# Of a sole's length: above the frame the spline has no other directions, and
+# left and right part.
+_ABOVE = 1e-3
 _BEND = 0.1  # difference of a node from its neighbours that counts one
 
 
@@ -64,6 +67,13 @@ class ShapeProblem:
     """
 
     def __init__(self, setup: Setup, stage: Stage):
+        above = setup.mesh.nodes[:, 2].max()
+        if above > _ABOVE * np.ptp(setup.mesh.nodes, axis=0).max():
+            raise InputError(
+                f"mesh: the sole reaches {1e3 * above:.1f} mm above its "
+                "frame, and its shape is sought at z <= 0; give mesh.origin_m "
+                "in its top"
+            )
         self.setup, self.settings = setup, setup.settings
         self.mesh, self.spline = stage_mesh(setup.mesh, stage), setup.spline()
         self.stage, self.finer = stage, finer_mesh(setup.mesh, stage)
