@@ -273,17 +273,22 @@ class Designed:
                 )
         return rows
 
-    def felt(self) -> list[dict]:
+    def felt(self, wearers: Sequence[str] | None = None) -> list[dict]:
         """What every cuff does to the person, before and after.
 
-        Forces across the limb as mats would show them, migration as encoders
-        would; `measured_migration_mm` is that once the design was built.
+        Of all wearers, or of those that are named. Forces across the limb as
+        mats would show them, migration as encoders would;
+        `measured_migration_mm` is that once the design was built.
         """
         rows = []
-        wearers = {w.name: w for w in self.found.problem.wearers}
+        who = {w.name: w for w in self.found.problem.wearers}
         for cuff in self.peaks:
             row: dict = {"cuff": cuff}
-            for what, moved in (("before", self.before), ("after", self.after)):
+            for what, all_moved in (
+                ("before", self.before),
+                ("after", self.after),
+            ):
+                moved = {n: all_moved[n] for n in wearers or all_moved}
                 if what == "after" and cuff in self.design.removed:
                     row[what] = dict.fromkeys(row["before"], 0.0)
                     continue
@@ -293,7 +298,7 @@ class Designed:
                 force = []
                 for name, own in moved.items():
                     shown = np.ones(3)
-                    shown[NORMAL] = wearers[name].shown(cuff)
+                    shown[NORMAL] = who[name].shown(cuff)
                     force += [
                         shown * m.trial.cuffs[cuff].components for m in own
                     ]
@@ -460,14 +465,18 @@ class Designed:
                     "the design comes no nearer under its other limits, or "
                     "its forecast slides on: lower limits.migration_mm",
                 )
-            for key, unit, name, limit in self._other_limits(row):
-                if row["after"][key] > _BEYOND * limit:
+        for wearer in self.after:  # whose own limits these are
+            others = f", {wearer}" if len(self.after) > 1 else ""
+            for row in self.felt([wearer]):
+                for key, unit, name, limit in self._other_limits(row):
+                    if row["after"][key] <= _BEYOND * limit:
+                        continue
                     yield note(
                         "design.limits",
                         value=row["after"][key],
                         limit=limit,
                         unit=unit,
-                        where=row["cuff"],
+                        where=row["cuff"] + others,
                         sentence="is beyond its limit in the forecast, where "
                         f"the person moves as before: lower limits.{name}",
                     )

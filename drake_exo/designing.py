@@ -157,7 +157,7 @@ def wearer(
         moved: own movements on the cuffs of today.
     """
     told = [m.seen for m in moved if m.seen is not None]
-    return Wearer(
+    who = Wearer(
         name,
         study.model,
         contact,
@@ -165,16 +165,14 @@ def wearer(
         differ=differences(moved),
         device=study.device,
         slid=slid(moved, study.model, contact),
-        law=posture_law(
-            told,
-            [
-                joint_friction(t, study.model, contact, study.device)
-                for t in told
-            ],
-            study.model,
-            study.prediction.noise.exo_moment_nm,
-        ),
     )
+    law = posture_law(
+        told,
+        [who.drive(t) for t in told],
+        study.model,
+        study.prediction.noise.exo_moment_nm,
+    )
+    return replace(who, law=law)
 
 
 def differences(moved: Sequence[Moved]) -> dict[str, float]:

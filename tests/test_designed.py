@@ -83,7 +83,7 @@ def felt(made):
 @pytest.fixture
 def told(made, felt, monkeypatch):
     """The same, with what is felt told at once."""
-    monkeypatch.setattr(Designed, "felt", lambda _: felt)
+    monkeypatch.setattr(Designed, "felt", lambda *_: felt)
     return made
 
 
@@ -300,7 +300,7 @@ def test_a_migration_at_its_limit_is_within_it(made, felt, monkeypatch):
     for share, told in ((1.0, False), (0.998, True)):
         limits = DesignLimits(migration_mm=share * most)
         own = replace(made, settings=replace(SETTINGS, limits=limits))
-        monkeypatch.setattr(Designed, "felt", lambda _: felt[:1])
+        monkeypatch.setattr(Designed, "felt", lambda *_: felt[:1])
         names = [c.name for c in own.checks()]
         assert ("design.migration" in names) == told
 
@@ -310,7 +310,7 @@ def test_every_cuff_has_the_same_limit_on_migration(made, felt, monkeypatch):
     """Whatever other limits it has, and in which order they are told."""
     row = felt[0] | {"after": felt[0]["after"] | {"migration_mm": 6.0}}
     row["before"] = row["before"] | {"moment_nm": 1.0, "shear_n": 2.0}
-    monkeypatch.setattr(Designed, "felt", lambda _: [row, row])
+    monkeypatch.setattr(Designed, "felt", lambda *_: [row, row])
     for most, told in ((7.0, 0), (5.0, 2)):
         limits = DesignLimits(migration_mm=most)
         own = replace(made, settings=replace(SETTINGS, limits=limits))
@@ -319,12 +319,23 @@ def test_every_cuff_has_the_same_limit_on_migration(made, felt, monkeypatch):
 
 
 @pytest.mark.slow
+def test_each_wearer_s_own_limits_are_judged(made, felt):
+    """One who bears little may double it unseen beside one who bears much."""
+    alone = [made.felt([name]) for name in made.after]
+    for row, *own in zip(felt, *alone, strict=True):
+        for key in ("peak_n", "shear_n", "moment_nm"):
+            values = [r["after"][key] for r in own]
+            assert row["after"][key] == pytest.approx(max(values))
+            assert min(values) < max(values)
+
+
+@pytest.mark.slow
 def test_a_forecast_beyond_a_limit_is_told(made, felt, monkeypatch):
     """By the limit's own name; one of today's counts from there."""
     row = felt[0]
     now = row["after"]
     row = row | {"before": dict.fromkeys(now, 1.0)}
-    monkeypatch.setattr(Designed, "felt", lambda _: [row])
+    monkeypatch.setattr(Designed, "felt", lambda *_: [row])
     free = DesignLimits(moment_factor=None)
     for name, key, unit in (
         ("normal_n", "peak_n", "N"),
@@ -339,7 +350,8 @@ def test_a_forecast_beyond_a_limit_is_told(made, felt, monkeypatch):
             limits = replace(free, **{name: most})
             own = replace(made, settings=replace(SETTINGS, limits=limits))
             told = [c for c in own.checks() if c.name == "design.limits"]
-            assert [c.where for c in told] == [row["cuff"]] * beyond
+            where = [f"{row['cuff']}, {name}" for name in made.after]
+            assert [c.where for c in told] == where * beyond
             for check in told:
                 assert check.limit == pytest.approx(most)
                 assert check.unit == unit

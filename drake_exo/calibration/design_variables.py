@@ -177,7 +177,7 @@ def _driven(wearers: Sequence[Wearer]) -> list[str]:
     most, drive = (
         np.max([np.abs(x).max(axis=0) for x in torques], axis=0)
         for torques in (
-            [t.moments[:, names.is_device_joint] for _, t in trials],
+            [t.moments[:, t.coordinates.is_device_joint] for _, t in trials],
             [w.drive(t) for w, t in trials],
         )
     )

@@ -168,7 +168,7 @@ class Answer:
 
 def posture_law(
     trials: Sequence[Trial],
-    friction: Sequence[np.ndarray],
+    drives: Sequence[np.ndarray],
     model: Model,
     noise_nm: float,
 ) -> dict[str, np.ndarray]:
@@ -180,9 +180,9 @@ def posture_law(
     torque, posture is not what the drive goes by.
 
     Args:
-        trials: with the device where it truly was, and its torques; without
-            any, nothing is known.
-        friction: of each, as from `joint_friction`.
+        trials: with the device where it truly was; without any, nothing is
+            known.
+        drives: (n, m) of each, as from `Wearer.drive` [N m].
         model: subject and device.
         noise_nm: of the device's torques.
 
@@ -193,12 +193,7 @@ def posture_law(
     if not trials:
         return {}
     names, law = model.coordinates, {}
-    drive = np.concatenate(
-        [
-            t.moments[:, names.is_device_joint] - f
-            for t, f in zip(trials, friction, strict=True)
-        ]
-    )
+    drive = np.concatenate(drives)
     leant = np.sin(np.concatenate([_inclined(model, t.q) for t in trials]))
     for i, joint in enumerate(names.device):
         above = links_above(model, joint)

@@ -687,9 +687,17 @@ def _told(cuff: str, design: CuffDesign) -> str:
         for size, up, down in (
             (design.along_m, "up", "down"),
             (design.across_m, "forwards", "backwards"),
+            (design.preload_along_m, "up as preload", "down as preload"),
+            (
+                design.preload_across_m,
+                "forwards as preload",
+                "backwards as preload",
+            ),
         )
         if abs(size) >= 5e-4
     ]
+    if abs(design.area - 1.0) >= 5e-3:
+        words.append(f"{100 * design.area:.0f} % of the area")
     straps = [
         f"{what} strap {rounded(value)} {unit}"
         for what, value, unit in (

@@ -20,6 +20,7 @@ from drake_exo.calibration.wearers import (
 )
 from drake_exo.contact.parameters import Posterior
 from drake_exo.contact.strap import Assistance, Design, Gains
+from drake_exo.measurement.settings import Device
 from drake_exo.model.plant import nominal_model
 
 
@@ -140,17 +141,27 @@ def trials_of(wearer):
 def test_recordings_tell_how_drives_go_by_posture(wearer):
     model = wearer.model
     trials = [led(t) for t in trials_of(wearer)]
-    friction = [0.7 * np.ones((len(t.times), 3)) for t in trials]
-    law = posture_law(trials, friction, model, 0.3)
+
+    def drives(trials):  # less the friction that is led
+        own = model.coordinates.is_device_joint
+        return [t.moments[:, own] - 0.7 for t in trials]
+
+    law = posture_law(trials, drives(trials), model, 0.3)
     assert list(law) == ["exo_knee", "exo_hip"]
     for joint, by in law.items():
         np.testing.assert_allclose(by, LAW[joint], atol=1e-6)
     # Torques that posture does not tell to within their noise.
     other = [led(t, np.sin(30.0 * t.times)) for t in trials]
-    assert posture_law(other, friction, model, 0.3) == {}
-    assert set(posture_law(other, friction, model, 1.0)) == set(LAW)
+    assert posture_law(other, drives(other), model, 0.3) == {}
+    assert set(posture_law(other, drives(other), model, 1.0)) == set(LAW)
     # Drives that hardly give more than noise.
-    assert posture_law(trials, friction, model, 50.0) == {}
+    assert posture_law(trials, drives(trials), model, 50.0) == {}
+    # Springs of a device that carries nothing are none.
+    passive = replace(wearer, device=Device())
+    said = {"moments": {"exoskeleton": "device model"}}
+    modelled = [replace(t, provenance=said) for t in trials]
+    given = [passive.drive(t) for t in modelled]
+    assert posture_law(modelled, given, model, 0.3) == {}
     assert posture_law([], [], model, 0.3) == {}
 
 
