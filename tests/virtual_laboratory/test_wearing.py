@@ -1,6 +1,7 @@
 """A design on the laboratory's subject: tissue and person stay."""
 
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,6 +18,7 @@ from drake_exo.contact.strap import (
     Gains,
 )
 from drake_exo.errors import InputError
+from drake_exo.measurement.settings import Plates, TrialFiles
 from drake_exo.virtual_laboratory import campaign
 from drake_exo.virtual_laboratory.campaign import (
     Campaign,
@@ -188,7 +190,7 @@ def test_what_was_built_is_read_as_the_study_reads(tmp_path, monkeypatch):
             {
                 **dict(name=name, use="prediction", markers="x.c3d"),
                 **dict(forces="x.c3d", plates={"left": 1, "right": 2}),
-                **dict(start_s=start_s, end_s=3.0),
+                **dict(start_s=start_s, end_s=3.0, rise=count),
             }
             for name in names[:count]
         ]
@@ -207,13 +209,15 @@ def test_what_was_built_is_read_as_the_study_reads(tmp_path, monkeypatch):
     file = command._built(made, study, {}, tmp_path)["anna"]
     assert [t.name for t in file.trials] == [names[0]]
     assert (file.trials[0].start_s, file.filter.cutoff_hz) == (1.2, 9.0)
+    assert file.trials[0].rise == 1  # an own window, as all of it
 
 
 def test_a_trial_that_no_laboratory_builds_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(campaign, "read_about", lambda _: {})
+    file, plates = Path("x.c3d"), Plates(left=(1,), right=(2,))
     trials = [
-        SimpleNamespace(name=n, use="prediction", start_s=None, end_s=None)
-        for n in ("assisted_legs_3_3", "passive_legs_5_3")
+        TrialFiles(name, file, file, plates, "prediction")
+        for name in ("assisted_legs_3_3", "passive_legs_5_3")
     ]
     study = SimpleNamespace(file=SimpleNamespace(trials=trials))
     with pytest.raises(InputError, match="'passive_legs_5_3' is for predict"):
