@@ -123,12 +123,12 @@ def run(args: argparse.Namespace) -> int:
         args.calibration, args.accept, study.trials("prediction")
     )
     checks += study.gate("prediction", args.accept)
-    clocks, usual = None, uncalibrated(study.model, contact)
+    clocks = usual = None
     if worn is not None:
         # Of the cuffs that were worn.
         clocks = find_clocks(study, study.trials("prediction"), contact)
+        usual = worn.contact(uncalibrated(study.model, contact))
         study, contact = on_design(study, contact, worn)
-        usual = worn.contact(usual)
     folder = prepare_output_folder(args.out, args.force, args.resume, reads)
     with folder as out:
         code = write_predictions(

@@ -816,15 +816,20 @@ def _end(e: Evidence) -> Check:
     hips = np.abs(np.gradient(motion.hip_z, motion.time))
     starts = float(hips[first]) if first <= 1 else 0.0
     stops = float(hips[last]) if last >= len(motion.time) - 2 else 0.0
-    speed = max(starts, stops)
-    at, word = (0, "starts") if starts > stops else (-1, "ends")
+    speed, said = _worse_end(motion.time, starts, stops)
     return e.check(
         "end",
         speed,
-        f"the recording {word} at {motion.time[at]:g} s while the hips "
-        f"move at {speed:.2f} m/s, in the middle of the movement: export the "
-        "whole trial",
+        f"{said} while the hips move at {speed:.2f} m/s, in the middle of the "
+        "movement: export the whole trial",
     )
+
+
+def _worse_end(time, starts: float, stops: float) -> tuple[float, str]:
+    """The larger of two speeds, and where a recording has it, in words."""
+    if starts > stops:
+        return starts, f"the recording starts at {time[0]:g} s"
+    return stops, f"the recording ends at {time[-1]:g} s"
 
 
 def _end_joints(e: Evidence) -> Check:
@@ -838,22 +843,20 @@ def _end_joints(e: Evidence) -> Check:
     speeds = np.abs(np.gradient(angles, time, axis=0)).max(axis=1)
     reach = 0.5 / e.trial.provenance["filter"]["cutoff_hz"]
     first, last = np.flatnonzero(e.inside)[[0, -1]]
-    begins, ends = (
+    starts, stops = (
         float(speeds[rows].max()) if gap < reach else 0.0
         for rows, gap in (
             (slice(first + 1), time[first] - time[0]),
             (slice(last, None), time[-1] - time[last]),
         )
     )
-    speed = max(begins, ends)
-    at, word = (0, "starts") if begins > ends else (-1, "ends")
+    speed, said = _worse_end(time, starts, stops)
     return e.check(
         "end_joints",
         speed,
-        f"the recording {word} at {time[at]:g} s, within {1e3 * reach:.0f} ms "
-        f"of the used part, while a joint turns at {speed:.0f} deg/s; the "
-        "filter does not know how it goes on: export more, or use a part "
-        "that keeps away from there",
+        f"{said}, within {1e3 * reach:.0f} ms of the used part, while a joint "
+        f"turns at {speed:.0f} deg/s; the filter does not know how it goes on: "
+        "export more, or use a part that keeps away from there",
     )
 
 
