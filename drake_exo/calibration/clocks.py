@@ -192,27 +192,12 @@ class Timing(InteractionCalibration):
             refined,
         )
 
-    def _add_errors(self) -> np.ndarray | None:
-        """As usual, with one prior of parameters and errors together."""
-        unknowns = self.errors.unknowns
-        if not unknowns:
-            return None
-        prog = self.program.prog
-        variables = self.program.add_variables(
-            [u.name for u in unknowns], [u.sd for u in unknowns]
-        )
-        names, mean, covariance = self._prior()
-        cuffs = self.variables_of(names[: len(names) - len(unknowns)])
-        prog.AddQuadraticErrorCost(
-            0.5 * np.linalg.inv(covariance), mean, np.r_[cuffs, variables]
-        )
-        return variables
-
     def _prior(self) -> tuple[list[str], np.ndarray, np.ndarray]:
-        """Names (m,), mean (m,), covariance (m, m): parameters, then errors."""
+        """One prior of all parameters and errors together."""
         known = self.contact.posterior
         free = self.parameters
-        names = [p.name for p in free] + self.errors.names
+        cuffs = [p.name for p in free]
+        names = cuffs + self.errors.names
         mean, covariance = np.zeros(len(names)), np.zeros((len(names),) * 2)
         k = len(free)
         mean[k:], covariance[k:, k:] = self.errors.prior()
@@ -223,7 +208,7 @@ class Timing(InteractionCalibration):
             stiff = p.name.endswith("_stiffness")
             more = DISCREPANCY * p.nominal if stiff else _ORIGIN_M
             covariance[j, j] += more**2
-        return names, mean, covariance
+        return cuffs, mean, covariance
 
 
 def phase_checks(

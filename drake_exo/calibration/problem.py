@@ -259,11 +259,20 @@ class PhaseProblem(Compiles, ABC):
         variables = self.program.add_variables(
             [u.name for u in unknowns], [u.sd for u in unknowns]
         )
-        mean, covariance = self.errors.prior()
+        names, mean, covariance = self._prior()
         # Drake's cost has no half.
         weight = 0.5 * np.linalg.inv(covariance)
-        prog.AddQuadraticErrorCost(weight, mean, variables)
+        both = np.r_[self.variables_of(names), variables]
+        prog.AddQuadraticErrorCost(weight, mean, both)
         return variables
+
+    def _prior(self) -> tuple[list[str], np.ndarray, np.ndarray]:
+        """What is known before: of parameters by name, then of the errors.
+
+        Returns:
+            Names, mean (m,) and covariance (m, m) of both together.
+        """
+        return [], *self.errors.prior()
 
     def _effects(self, at: Trial) -> Effects | None:
         """What the unknown errors do to a trial's signals."""
@@ -440,7 +449,7 @@ class PhaseProblem(Compiles, ABC):
             parameters = self._variables[cuff]
             self.program.add_residuals(
                 f"{movement.name} energy {cuff}",
-                _Weighted(EnergyKernel(self.bushings[cuff], chosen, sigma)),
+                EnergyKernel(self.bushings[cuff], chosen, sigma),
                 np.hstack(
                     [
                         grid.q,
@@ -1041,19 +1050,3 @@ def normal_force_terms(
         for cuff, variables in movement.cuffs.items()
         if cuff in at.cuffs
     ]
-
-
-class _Weighted:
-    """A kernel times a weight for each instance, given as its data."""
-
-    def __init__(self, kernel):
-        self._kernel = kernel
-        self.sparsity = kernel.sparsity
-
-    def evaluate(self, x, data):
-        """See Kernel."""
-        return data * self._kernel.evaluate(x, None)
-
-    def jacobian(self, x, data):
-        """See Kernel."""
-        return data[:, :, None] * self._kernel.jacobian(x, None)

@@ -247,7 +247,8 @@ class EnergyKernel:
     """Contact energy 1/2 k d^2 of a bushing's components, in joules / unit.
 
     Inputs: q, origin (2), stiffness (3), slip. Outputs: one for each component
-    named; the cost is half the sum of their squares (paper, Table I).
+    named, times the weight in `data` (n, 1); the cost is half the sum of their
+    squares (paper, Table I).
 
     Args:
         bushing: the geometry.
@@ -277,7 +278,7 @@ class EnergyKernel:
         q, origin, k, slip = self._split(x)
         d = self._bushing.deflection(q, self._bushing.terms(q, origin))
         energy = np.stack(bushing_energy(d.T, k.T, slip[:, 0]), axis=1)
-        return energy[:, self._components] / self._sigma
+        return data * energy[:, self._components] / self._sigma
 
     def jacobian(self, x, data):
         """See Kernel."""
@@ -299,7 +300,7 @@ class EnergyKernel:
         J[:, :2, nq : nq + 2] = force[:, :2] * b.by_places(b.turns(q))
         index = np.arange(3)
         J[:, index, nq + 2 + index] = by_stiffness
-        return J[:, self._components] / self._sigma
+        return data[:, :, None] * J[:, self._components] / self._sigma
 
 
 PLACE_UNIT = 0.01  # m

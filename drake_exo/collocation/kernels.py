@@ -157,8 +157,6 @@ class DynamicsKernel:
         for i, wrench in enumerate(self._wrenches):
             r -= wrench.generalized(q, ground[:, 3 * i : 3 * i + 3])
         r[:, self._joints] -= torque
-        if data is not None:
-            r -= data
         return r / FORCE_UNIT
 
     def jacobian(self, x, data):
@@ -555,7 +553,7 @@ class LoadedDynamicsKernel:
     """A kernel of equations of motion, with an applied wrench.
 
     Inputs and outputs as those of the inner kernel, whose inputs start with
-    q. Data: (n, 3 m) wrenches, as `AppliedWrench.at`; None for no load.
+    q. Data: (n, 3 m) wrenches, as `AppliedWrench.at`.
 
     Args:
         inner: such as DynamicsKernel; gets no data itself.
@@ -575,18 +573,12 @@ class LoadedDynamicsKernel:
     def evaluate(self, x, data):
         """See Kernel."""
         r = self._inner.evaluate(x, None)
-        if data is None:
-            return r
         q = x[:, : self._num_positions]
         return r - self._load.generalized(q, data) / FORCE_UNIT
 
     def jacobian(self, x, data):
         """See Kernel."""
-        J = self._inner.jacobian(x, None)
-        if data is None:
-            return J
-        nq = self._num_positions
-        J = J.copy()
+        J, nq = self._inner.jacobian(x, None), self._num_positions
         J[:, :, :nq] -= self._load.by_positions(x[:, :nq], data) / FORCE_UNIT
         return J
 

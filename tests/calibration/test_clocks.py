@@ -353,7 +353,8 @@ def test_what_is_known_comes_before_a_trials_own_data(in_device):
         replace(contact, posterior=known),
         in_device.settings(errors=ErrorSizes()),
     )
-    all_names, mean, covariance = problem._prior()
+    cuffs, mean, covariance = problem._prior()
+    all_names = cuffs + problem.errors.names
     i = [all_names.index(name) for name in names]
     np.testing.assert_allclose(mean[i], known.values)
     expected = known.covariance.copy()
@@ -367,7 +368,7 @@ def test_what_is_known_comes_before_a_trials_own_data(in_device):
     place = problem.program.indices
     free = [p.name for p in problem.parameters]
     assert not any(name.endswith("slip") for name in free)
-    assert all_names == free + problem.errors.names
+    assert cuffs == free
     index = place(np.r_[problem.variables_of(free), problem.error_variables])
     program = problem.program.prog
     costs = [

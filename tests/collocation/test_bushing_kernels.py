@@ -79,15 +79,16 @@ def test_energy_is_the_laws(tree, rng, segment):
     bushing = BushingKinematics(tree, segment, PRELOAD)
     kernel = EnergyKernel(bushing, [0, 1, 2], 2.0)
     stiffness = np.tile([*STIFFNESS, SLIP], (N, 1))
-    found = kernel.evaluate(np.hstack([q, origin, stiffness]), None)
+    weight = rng.uniform(1.0, 2.0, (N, 1))
+    found = kernel.evaluate(np.hstack([q, origin, stiffness]), weight)
     deflection, *_ = law(tree, segment, q, v, origin)
     expected = bushing_energy(deflection, STIFFNESS, SLIP)
     np.testing.assert_allclose(
-        2.0 * found, np.column_stack(expected), rtol=1e-9
+        2.0 * found, weight * np.column_stack(expected), rtol=1e-9
     )
     one = EnergyKernel(bushing, [1], 2.0)
     np.testing.assert_allclose(
-        one.evaluate(np.hstack([q, origin, stiffness]), None), found[:, 1:2]
+        one.evaluate(np.hstack([q, origin, stiffness]), weight), found[:, 1:2]
     )
 
 

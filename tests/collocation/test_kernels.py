@@ -44,22 +44,22 @@ def contact_kernel(nominal):
     return lambda law: FootGroundKernel(nominal_contact(model, law).ground)
 
 
-def _differences(kernel, x):
+def _differences(kernel, x, data):
     J = np.zeros((len(x), *kernel.sparsity.shape))
     for k in range(x.shape[1]):
         h = 1e-6 * max(1.0, np.abs(x[:, k]).max())
         up, down = x.copy(), x.copy()
         up[:, k] += h
         down[:, k] -= h
-        J[:, :, k] = kernel.evaluate(up, None) - kernel.evaluate(down, None)
+        J[:, :, k] = kernel.evaluate(up, data) - kernel.evaluate(down, data)
         J[:, :, k] /= 2 * h
     return J
 
 
-def _check(kernel, x):
+def _check(kernel, x, data=None):
     """Derivatives, and that the pattern misses none."""
-    J = kernel.jacobian(x, None)
-    expected = _differences(kernel, x)
+    J = kernel.jacobian(x, data)
+    expected = _differences(kernel, x, data)
     scale = np.abs(expected).max(axis=(0, 1)) + 1e-3
     error = np.abs(J - expected).max(axis=(0, 1)) / scale
     assert error.max() < 1e-6, f"input {error.argmax()}: {error.max():.1e}"
@@ -244,7 +244,8 @@ def test_bushing_and_energy_derivatives(tree, segment):
         kernel.curved_inputs[9:], [False] * 12 + [True] * 6
     )
     columns = [*range(9), *range(21, 27)]
-    _check(EnergyKernel(bushing, [0, 2], 1.0), x[:, columns])
+    weight = np.linspace(0.5, 2.0, len(x))[:, None]
+    _check(EnergyKernel(bushing, [0, 2], 1.0), x[:, columns], weight)
 
 
 @pytest.mark.parametrize("segment", CUFFS)

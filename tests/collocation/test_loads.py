@@ -94,15 +94,3 @@ def test_kernel_takes_the_load_off_the_demand(tree, load):
         step[i] = h
         slope = kernel.evaluate(x + step, w) - kernel.evaluate(x - step, w)
         np.testing.assert_allclose(J[:, :, i], slope / (2 * h), atol=1e-6)
-
-
-def test_without_data_there_is_no_load(tree, load):
-    inner = DynamicsKernel(tree)
-    kernel = LoadedDynamicsKernel(inner, load)
-    x = np.full((2, inner.sparsity.shape[1]), 0.1)
-    np.testing.assert_array_equal(
-        kernel.evaluate(x, None), inner.evaluate(x, None)
-    )
-    np.testing.assert_array_equal(
-        kernel.jacobian(x, None), inner.jacobian(x, None)
-    )
