@@ -462,7 +462,7 @@ def write_trial(folder: Path, trial: Trial, mark: str = "") -> None:
         degrees = np.where(names.is_angle, np.rad2deg(values), values)
         table = Table(trial.times, names.names, degrees, in_degrees=True)
         path = folder / f"{trial.name}_{kind}.sto"
-        write_table(path, table, titled(kind.capitalize(), mark))
+        write_table(path, table, kind.capitalize(), mark)
     columns, force = external_loads(
         {
             "" if side == "both" else f"_{side}": ground
@@ -483,13 +483,8 @@ def write_trial(folder: Path, trial: Trial, mark: str = "") -> None:
     for kind, (columns, values, title) in tables.items():
         table = Table(trial.times, tuple(columns), values, in_degrees=False)
         path = folder / f"{trial.name}_{kind}.sto"
-        write_table(path, table, titled(title, mark))
+        write_table(path, table, title, mark)
     trial.save(folder / f"solution_{trial.name}")
-
-
-def titled(title: str, mark: str) -> str:
-    """First line of a table, with `Verdict.mark` where there is one."""
-    return f"{title} ({mark})" if mark else title
 
 
 def write_bands(
@@ -523,7 +518,7 @@ def write_bands(
         trial.times, tuple(columns), np.column_stack(values), in_degrees=True
     )
     path = folder / f"{trial.name}_bands.sto"
-    write_table(path, table, titled("Bands of 95 %", mark))
+    write_table(path, table, "Bands of 95 %", mark)
 
 
 _SOURCES = ("solution", "measured", "uncalibrated", "before", "after")

@@ -105,7 +105,7 @@ def _of_table(path: Path) -> list[Section]:
     said = angles.get(table.in_degrees, "the header says no unit of angles")
     found = []
     if has_plates(table):
-        found.append(_plates(table.time, _numbered(plates_of(table))))
+        found.append(_plates(table.time, plates_of(table)))
     return [*found, _channels(table, said)]
 
 
@@ -113,8 +113,7 @@ def _of_csv(path: Path) -> list[Section]:
     lines = read_text(path).splitlines()
     first = next((s for s in lines if s.strip()), "")
     if any(s.startswith("MocapFrame") for s in lines):
-        time, plate = read_plate_csv(path)
-        return [_plates(time, _numbered([plate]))]
+        return [_plates(*read_plate_csv(path))]
     if "Format Version" in first:
         return [_markers(read_markers_csv(path))]
     cells = first.split(",")
@@ -211,10 +210,6 @@ def _gaps(time: np.ndarray, unseen: np.ndarray) -> str:
     told = [f"{time[a]:g} to {time[b - 1]:g}" for a, b in found[:_TOLD]]
     more = ", ..." if len(found) > _TOLD else ""
     return f"; not seen in {unseen.sum()} frames: {', '.join(told)}{more} s"
-
-
-def _numbered(plates: list[PlateRecording]) -> dict[int, PlateRecording]:
-    return {plate.number: plate for plate in plates}
 
 
 def _plates(time: np.ndarray, plates: Mapping[int, PlateRecording]) -> Section:

@@ -111,7 +111,9 @@ def read_trc(path: str | Path) -> MarkerData:
     )
 
 
-def read_plates(path: str | Path) -> tuple[np.ndarray, list[PlateRecording]]:
+def read_plates(
+    path: str | Path,
+) -> tuple[np.ndarray, dict[int, PlateRecording]]:
     """Read the force plates of a .mot or .sto file.
 
     Returns:
@@ -130,7 +132,7 @@ def has_plates(table: Table) -> bool:
     return any(match and match["kind"] == "v" for match in found)
 
 
-def plates_of(table: Table) -> list[PlateRecording]:
+def plates_of(table: Table) -> dict[int, PlateRecording]:
     """The force plates among the columns of a table; see `read_plates`."""
     columns: dict[str, dict[str, str]] = {}
     for name in table.names:
@@ -150,10 +152,11 @@ def plates_of(table: Table) -> list[PlateRecording]:
     # "ground_force_2_vx" is plate 2; "1_ground_force_vx" beside
     # "ground_force_vx" is OpenSim's second plate.
     numbered = all(label.isdecimal() and label != "0" for label in labels)
-    return [
-        _plate(table, int(label) if numbered else i + 1, label, columns[label])
-        for i, label in enumerate(labels)
-    ]
+    numbers = [int(n) if numbered else i for i, n in enumerate(labels, 1)]
+    return {
+        number: _plate(table, number, label, columns[label])
+        for number, label in zip(numbers, labels, strict=True)
+    }
 
 
 def _plate(table, number, label, columns) -> PlateRecording:
@@ -190,7 +193,12 @@ def _plate(table, number, label, columns) -> PlateRecording:
 
 
 def write_table(
-    path: str | Path, table: Table, title: str = "", digits: int = 10
+    path: str | Path,
+    table: Table,
+    title: str = "",
+    mark: str = "",
+    *,
+    digits: int = 10,
 ) -> None:
     """Write a .mot or .sto file that OpenSim reads.
 
@@ -198,12 +206,13 @@ def write_table(
         path: of the file.
         table: what it holds.
         title: its first line; the file's name if empty.
+        mark: `Verdict.mark`, after it.
         digits: of each number; 17 are all of it.
     """
     path = Path(path)
     degrees = "yes" if table.in_degrees else "no"
     head = [
-        title or path.stem,
+        (title or path.stem) + (f" ({mark})" if mark else ""),
         "version=1",
         f"nRows={len(table.time)}",
         f"nColumns={len(table.names) + 1}",

@@ -29,7 +29,8 @@ def read_markers_csv(path: str | Path) -> MarkerData:
         InputError: another format, unknown unit, truncated or damaged rows,
             or time that does not increase.
     """
-    lines, rows = _rows(path)
+    numbered = _rows(path)
+    rows = [row for _, row in numbered]
     head = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
     if "Format Version" not in head or "Length Units" not in head:
         raise InputError(
@@ -56,7 +57,7 @@ def read_markers_csv(path: str | Path) -> MarkerData:
             f"{path}: has no markers with X, Y and Z; export markers' "
             "positions, each with a name of its own"
         )
-    values = _values(path, lines, rows, start + 1, len(rows[start]))
+    values = number_rows(path, numbered[start + 1 :], len(rows[start]))
     check_increasing(str(path), values[:, 1])
     positions = np.stack([values[:, c] for c in columns.values()], axis=1)
     _check_total(path, head.get("Total Exported Frames"), len(values))
@@ -71,7 +72,9 @@ def read_markers_csv(path: str | Path) -> MarkerData:
     )
 
 
-def read_plate_csv(path: str | Path) -> tuple[np.ndarray, PlateRecording]:
+def read_plate_csv(
+    path: str | Path,
+) -> tuple[np.ndarray, dict[int, PlateRecording]]:
     """Read a force plate's export of Motive.
 
     The export holds what the body does to the plate, in the plate's frame
@@ -80,13 +83,14 @@ def read_plate_csv(path: str | Path) -> tuple[np.ndarray, PlateRecording]:
     the device began to stream, all zero, are left out.
 
     Returns:
-        Times (N,) [s] and the plate, number 1.
+        Times (N,) [s] and the plate by its number, 1.
 
     Raises:
         InputError: another format, no corners, truncated or damaged rows,
             or time that does not increase.
     """
-    lines, rows = _rows(path)
+    numbered = _rows(path)
+    rows = [row for _, row in numbered]
     start = _find(path, rows, "MocapFrame")
     head = {r[0].strip(): r[1] for r in rows[:start] if len(r) > 1}
     if (space := head.get("Coordinate Space", "Local").strip()) != "Local":
@@ -101,7 +105,7 @@ def read_plate_csv(path: str | Path) -> tuple[np.ndarray, PlateRecording]:
                 f"{path}: has no column {name!r}; export the plate's force "
                 "and moment"
             )
-    values = _values(path, lines, rows, start + 1, len(names))
+    values = number_rows(path, numbered[start + 1 :], len(names))
     check_increasing(str(path), values[:, names.index("MocapTime")])
     _check_total(path, head.get("Total Exported Frames"), len(values))
     signals = values[:, [names.index(c) for c in _CHANNELS]]
@@ -124,17 +128,16 @@ def read_plate_csv(path: str | Path) -> tuple[np.ndarray, PlateRecording]:
         point=np.tile(corners.mean(axis=0), (len(reaction), 1)),
         torque=reaction[:, 3:] @ R.T,
     )
-    return values[first:, names.index("MocapTime")], plate
+    return values[first:, names.index("MocapTime")], {1: plate}
 
 
-def _rows(path) -> tuple[list[int], list[list[str]]]:
-    """Cells of the lines that are not blank, and the lines' numbers."""
+def _rows(path) -> list[tuple[int, list[str]]]:
+    """Number and cells of each line that is not blank."""
     reader = csv.reader(read_text(path).splitlines())
     found = [(reader.line_num, row) for row in reader if any(row)]
     if not found:
         raise InputError(f"{path}: is empty; export it again")
-    lines, rows = map(list, zip(*found, strict=True))
-    return lines, rows
+    return found
 
 
 def _find(path, rows, first: str) -> int:
@@ -155,12 +158,6 @@ def _label_rows(path, rows) -> tuple[list[str], list[str]]:
             f"{path}: has no rows of marker names; export with the header"
         )
     return labels[0][2:], labels[1][2:]
-
-
-def _values(path, lines, rows, start: int, width: int) -> np.ndarray:
-    """Rows of numbers (N, width); empty cells are gaps."""
-    numbered = zip(lines[start:], rows[start:], strict=True)
-    return number_rows(path, numbered, width)
 
 
 def _check_total(path, text: str | None, count: int) -> None:

@@ -260,26 +260,16 @@ def _plates_of_c3d(path: Path):
     return file.plate_time, file.plates
 
 
-def _plates_of_table(path: Path):
-    time, plates = read_plates(path)
-    return time, {plate.number: plate for plate in plates}
-
-
-def _plate_of_csv(path: Path):
-    time, plate = read_plate_csv(path)
-    return time, {plate.number: plate}
-
-
 _MARKER_READERS = {
     ".trc": read_trc,
     ".c3d": _markers_of_c3d,
     ".csv": read_markers_csv,
 }
 _FORCE_READERS = {
-    ".mot": _plates_of_table,
-    ".sto": _plates_of_table,
+    ".mot": read_plates,
+    ".sto": read_plates,
     ".c3d": _plates_of_c3d,
-    ".csv": _plate_of_csv,
+    ".csv": read_plate_csv,
 }
 
 

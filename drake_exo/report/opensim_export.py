@@ -24,7 +24,6 @@ from drake_exo.calibration.results import (
     read_calibration,
     read_model,
     read_trial,
-    titled,
 )
 from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.hunt_crossley import SimbodyConstants, sphere_wrench
@@ -352,8 +351,7 @@ def write_states(
     table = Table(
         trial.times, tuple(columns), np.column_stack(values), in_degrees=False
     )
-    title = titled(f"States of {trial.name}", mark)
-    write_table(path, table, title, digits=17)
+    write_table(path, table, f"States of {trial.name}", mark, digits=17)
 
 
 def write_forces(
@@ -369,8 +367,8 @@ def write_forces(
         1.0 if two else 0.5,
     )
     table = Table(trial.times, tuple(columns), values, in_degrees=False)
-    title = titled(f"Ground reaction of {trial.name}", mark)
-    write_table(path, table, title, digits=17)
+    title = f"Ground reaction of {trial.name}"
+    write_table(path, table, title, mark, digits=17)
 
 
 def own_forces(copies: Copies, contact: ContactModel, trial: Trial):

@@ -146,7 +146,8 @@ def test_a_light_foots_moment_is_in_its_table(predicted, tmp_path):
         light = replace(found, ground=PlanarWrench.of(share * loaded))
         write_trial(tmp_path, light)
         path = tmp_path / f"{found.name}_ground_reaction.sto"
-        _, (plate,) = read_plates(path)
+        _, plates = read_plates(path)
+        (plate,) = plates.values()
         moment = -plate.moment_about_origin()[:, 2]
         np.testing.assert_allclose(moment, share * loaded[:, 2], atol=1e-6)
         np.testing.assert_allclose(

@@ -67,11 +67,12 @@ def test_marker_units(tmp_path):
 def test_a_plate_may_lie_some_metres_away(tmp_path):
     far = plate().replace("_X,0.", "_X,7.")
     _, found = read_plate_csv(write(tmp_path, far))
-    np.testing.assert_allclose(found.force[0], [5.0, 700.0, -10.0])
+    np.testing.assert_allclose(found[1].force[0], [5.0, 700.0, -10.0])
 
 
 def test_plate_acts_on_the_body(tmp_path):
-    time, found = read_plate_csv(write(tmp_path, plate()))
+    time, plates = read_plate_csv(write(tmp_path, plate()))
+    found = plates[1]
     # Two samples before the device streamed are left out.
     assert len(time) == 23 and time[0] == pytest.approx(0.04)
     # The plate's x is the laboratory's x, its y z, its z -y (down).
@@ -125,6 +126,6 @@ def test_real_box_lifting(data_root):
     folder = data_root / "boxlifting_squat"
     found = read_markers_csv(folder / "SquatLifting_Markers.csv")
     assert found.positions.shape == (5967, 16, 3) and found.rate_hz == 100.0
-    time, force = read_plate_csv(folder / "SquatLifting_Forceplate.csv")
+    time, plates = read_plate_csv(folder / "SquatLifting_Forceplate.csv")
     assert len(time) == 5965 and time[0] == pytest.approx(0.02)
-    assert force.force[:500, 1].mean() == pytest.approx(687.0, abs=5.0)
+    assert plates[1].force[:500, 1].mean() == pytest.approx(687.0, abs=5.0)

@@ -126,9 +126,8 @@ def as_c3d(folder):
     square = np.array([[0.3, 0.3], [-0.3, 0.3], [-0.3, -0.3], [0.3, -0.3]])
     # x forward, y up, z right: plates lie in x and z, their z points down.
     corners = np.column_stack([square[:, 0], np.zeros(4), square[:, 1]])
-    write_c3d(
-        folder / "sts.c3d", markers, plates, [PlateDesign(corners)] * 3, 1
-    )
+    plates, designs = list(plates.values()), [PlateDesign(corners)] * 3
+    write_c3d(folder / "sts.c3d", markers, plates, designs, 1)
     edit(folder, "markers: sts.trc", "markers: sts.c3d")
     edit(folder, "forces: sts.mot", "forces: sts.c3d")
 

@@ -229,7 +229,7 @@ def walk(data_root):
         time,
         q,
         (t_plates, expected.time),
-        plates,
+        list(plates.values()),
         expected.columns(names),
     )
 

@@ -477,7 +477,7 @@ def test_reads_c3d_alike(files, loaded):
         [[0.9, 0, -0.3], [0, 0, -0.3], [0, 0, 0.3], [0.9, 0, 0.3]]
     )
     designs = [PlateDesign(corners), PlateDesign(corners, 3, (0.1, 0.2, -0.05))]
-    write_c3d(folder / "sts.c3d", data, plates, designs)
+    write_c3d(folder / "sts.c3d", data, list(plates.values()), designs)
     trials = tuple(
         replace(t, markers=Path("sts.c3d"), forces=Path("sts.c3d"))
         for t in study.trials

@@ -115,7 +115,7 @@ def test_walking_force_pushes_back_then_forward(data_root):
 
     path = data_root / "opencap_subject4/ID/walking1_grf.mot"
     time, plates = read_plates(path)
-    left = planar(plates[1], SagittalFrame())
+    left = planar(plates[2], SagittalFrame())
     stance = (time > 0.56) & (time < 1.18)
     cop = left.cop_x[stance]
     direction = np.sign(cop[-1] - cop[0])

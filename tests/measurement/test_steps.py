@@ -316,7 +316,7 @@ def test_steps_of_a_recorded_walk(data_root, trial, start, end):
     assert step.times[[0, -1]] == pytest.approx([start, end])
     path = data_root / "opencap_subject4" / "ID" / f"{trial}_grf.mot"
     time, plates = read_plates(path)
-    plate = plates[1]
+    plate = plates[2]
     lag = 0.01  # of the plates
     rows = np.searchsorted(time, step.times + lag - 1e-6)
     np.testing.assert_allclose(step.force[:, 2], plate.force[rows, 1])

@@ -63,7 +63,7 @@ def test_a_part_starts_and_ends_with_events(walk, data_root):
     """As the plates' own files say, sample by sample."""
     path = data_root / "treadmill_walk" / "walk2_grf.mot"
     time, plates = read_plates(path)
-    on = {p.number: p.force[:, 1] >= 20.0 for p in plates}
+    on = {n: p.force[:, 1] >= 20.0 for n, p in plates.items()}
     strikes = time[1:][np.diff(on[1].astype(int)) == 1]
     lifts = time[:-1][np.diff(on[2].astype(int)) == -1]
     assert len(strikes) == 5 and len(lifts) == 5

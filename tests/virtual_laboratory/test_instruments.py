@@ -584,7 +584,7 @@ def written_files(tmp_path, files):
     markers = read_trc(folder / paths["markers"])
     time, plates = read_plates(folder / paths["forces"])
     signals = [read_table(device[0]).in_radians(), read_table(device[1])]
-    return markers, time, plates, signals
+    return markers, time, list(plates.values()), signals
 
 
 def test_files_of_both_kinds_hold_what_happened(tmp_path):
