@@ -634,27 +634,20 @@ def bands(result: PhaseResult) -> Bands | None:
 
     size = matrix.shape[0]
     _, prior = problem.errors.prior()
-    weight = np.linalg.inv(prior)
     chosen = [n for n in known.names if n in problem.contact.values()]
     variables = place(problem.variables_of(chosen))
-    moved = matrix @ optimum.by_fixed(variables)
     # Errors that trials share are told by the same data as the parameters.
     shared = [k for k, n in enumerate(problem.errors.names) if n in known.names]
     names = [problem.errors.names[k] for k in shared]
-    _, whole = known.of([*chosen, *names])
     count = len(chosen)
-    covariance = whole[:count, :count]
-    cross = np.zeros((len(errors), count))
-    cross[shared] = whole[count:, :count]
-    # A parameter at a bound has no variance.
-    follow = cross @ np.linalg.pinv(covariance, hermitian=True)
-    shift = np.zeros((size, count))
-    shift[errors] = -weight @ follow
-    moved += by_gradient(shift)
-    parts = [moved @ _root(covariance)]
+    covariance = np.zeros((count + len(errors),) * 2)
+    covariance[count:, count:] = prior
+    told = [*range(count), *(count + k for k in shared)]
+    _, covariance[np.ix_(told, told)] = known.of([*chosen, *names])
     change = np.zeros((size, len(errors)))
-    change[errors] = -weight @ _root(prior - follow @ cross.T)
-    parts.append(by_gradient(change))
+    change[errors] = -np.linalg.inv(prior)
+    moved = [matrix @ optimum.by_fixed(variables), by_gradient(change)]
+    parts = [np.hstack(moved) @ _root(covariance)]
     for term in movement.tracked:
         if term.role != "regulariser":
             noise = _noise_of_term(
@@ -724,8 +717,11 @@ def _half_width(parts: np.ndarray, *more) -> np.ndarray:
 
 def _root(covariance: np.ndarray) -> np.ndarray:
     """Square root (m, k) of a covariance that may be singular."""
-    values, vectors = np.linalg.eigh(covariance)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
+    # From clocks to stiff cuffs sizes differ by 1e9; at a bound it is 0.
+    unit = np.sqrt(np.diag(covariance))
+    unit[unit == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
+    return unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def _noise_of_term(term, times, place, errors, size) -> np.ndarray:

@@ -199,6 +199,13 @@ def test_a_root_of_a_covariance():
     full = np.array([[4.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 9.0]])
     root = module._root(full)  # singular
     np.testing.assert_allclose(root @ root.T, full, atol=1e-12)
+    # Whatever the units: clocks and places beside a cuff that is bolted on.
+    unit = np.array([1e-2, 2e6, 0.02, 1e-2, 40.0, 0.0])
+    correlation = 0.6 + 0.4 * np.eye(6)
+    root = module._root(correlation * np.outer(unit, unit))
+    assert not root[5].any()  # at a bound
+    root = root[:5] / unit[:5, None]
+    np.testing.assert_allclose(root @ root.T, correlation[:5, :5], atol=1e-9)
 
 
 @pytest.fixture(scope="module")
