@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -592,13 +593,13 @@ class Calibration(_Solved):
     def trials(self) -> list[Trial]:
         """The solution of each trial."""
         self.solution.check()
-        return self.result.trials
+        return list(self.result.trials)
 
     @property
     def parameters(self) -> list[ContactParameter]:
         """All of them, their values as nominal."""
         self.solution.check()
-        return self.result.parameters
+        return list(self.result.parameters)
 
     def parameter(self, name: str) -> ContactParameter:
         """A calibrated parameter, its value as nominal.
@@ -794,7 +795,7 @@ class Prediction(_Solved, Trial):
     def bands(self) -> Bands | None:
         """Bands of 95 %; None where no calibration says how sure it is."""
         self.solution.check()
-        return self._bands
+        return deepcopy(self._bands)  # who changes it may
 
     @cached_property
     def _bands(self) -> Bands | None:

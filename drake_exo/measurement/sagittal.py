@@ -48,12 +48,12 @@ def _unit(axis: str) -> np.ndarray:
 
 
 def fixed(given) -> np.ndarray:
-    """Numbers as an array that cannot be written to; the given one still can.
+    """A copy of numbers that cannot be written to.
 
     >>> fixed([1, 2]).flags.writeable
     False
     """
-    array = np.asarray(given, dtype=float).view()
+    array = np.array(given, dtype=float)
     array.flags.writeable = False
     return array
 

@@ -506,6 +506,8 @@ def _finite(bounds):
 
 def _solution(problem, y, objective, status, watch, iterations, elapsed):
     off = violation(problem, y)
+    values = problem.expand(y)
+    values.flags.writeable = False  # all that is told later is made of them
     seconds = {"solve": elapsed, **problem.seconds}
     seconds["linear_algebra_and_ipopt"] = elapsed - sum(
         problem.seconds.values()
@@ -523,7 +525,7 @@ def _solution(problem, y, objective, status, watch, iterations, elapsed):
         strategy=watch.strategy,
         seconds=seconds,
         evaluations=dict(problem.evaluations),
-        _values=problem.expand(y),
+        _values=values,
     )
 
 

@@ -112,6 +112,21 @@ def test_for_another_process_it_is_told_what_to_pass_on(cuffs, found):
     np.testing.assert_array_equal(predicted.q, found.q)
 
 
+def test_what_is_handed_out_may_be_changed(cuffs, found):
+    """Or says that it may not: later answers stay what they were."""
+    cuffs.trials.clear()
+    cuffs.parameters.reverse()
+    assert len(cuffs.trials) == len(cuffs.rmsd())
+    assert [p.name for p in cuffs.parameters] == list(cuffs.contact.values())[
+        -len(cuffs.parameters) :
+    ]
+    width = found.bands().q.copy()
+    found.bands().q[:] = 0.0
+    np.testing.assert_array_equal(found.bands().q, width)
+    with pytest.raises(ValueError, match="read-only"):
+        found.result.values[:] = 0.0
+
+
 def test_a_prediction_is_read_by_names(found, study):
     assert isinstance(found, dx.Trial)
     assert found.success and found.source == "solved"

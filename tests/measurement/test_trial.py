@@ -303,4 +303,5 @@ def test_what_is_read_from_a_trial_does_not_change_it(whole):
     ):
         with pytest.raises(ValueError, match="read-only"):
             signal *= 2.0
-    given[:] = 0.0  # whose it is may
+    given[:] = 0.0  # one array may serve for many trials
+    np.testing.assert_array_equal(trial.q, whole.q)
