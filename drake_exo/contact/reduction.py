@@ -43,8 +43,8 @@ class Samples:
         rotation: (N, 3, 3).
         force: of the ground, upwards [N], (N,).
         cop: centre of pressure, forward and left [m], (N, 2).
-        size: of the sole (x, y, z) [m], (3,): it lies at z <= 0 about its
-            origin.
+        size: of the sole (x, y, z) [m], (3,): it lies at z <= 0.
+        middle: of the sole in its frame, forward and left [m], (2,).
     """
 
     origin: np.ndarray
@@ -52,6 +52,7 @@ class Samples:
     force: np.ndarray
     cop: np.ndarray
     size: np.ndarray
+    middle: np.ndarray = field(default_factory=lambda: np.zeros(2))
 
     @property
     def loaded(self) -> np.ndarray:
@@ -64,7 +65,7 @@ class Samples:
         x, y, z = self.size
         corners = np.array(
             [[i * x / 2, j * y / 2, -z] for i in (-1, 1) for j in (-1, 1)]
-        )
+        ) + [*self.middle, 0]
         lowest = self.origin[:, 2, None] + self.rotation[:, 2] @ corners.T
         return float(max(-lowest.min(), 1e-6))
 
@@ -370,7 +371,8 @@ def reduce_sole(
         full = np.zeros((spheres, 4))
         full[:, columns] = u[1:].reshape(spheres, -1)
         full = full * scale
-        place = full[:, 1:] + [0, 0, CONTACT_RADIUS_M - samples.size[2]]
+        touch = [*samples.middle, CONTACT_RADIUS_M - samples.size[2]]
+        place = full[:, 1:] + touch
         return np.exp(full[:, 0]), place, softened(float(np.exp(u[0])))
 
     def residuals(u):
@@ -429,6 +431,7 @@ def _in_plane(samples: Samples) -> Samples:
         origin=np.stack([x, zero, height], axis=1),
         rotation=np.moveaxis(turn, 2, 0),
         cop=np.stack([samples.cop @ ahead, zero], axis=1),
+        middle=samples.middle * [1, 0],
     )
 
 

@@ -690,7 +690,7 @@ def sole_samples(source: Step | Path | str) -> tuple[np.ndarray, ...]:
 
     >>> import drake_exo as dx
     >>> step = dx.soles.Case.from_text(dx.soles.EXAMPLE).simulate()
-    >>> O, R, force, cop, size = dx.soles.sole_samples(step)
+    >>> O, R, force, cop, size, middle = dx.soles.sole_samples(step)
     >>> O.shape, R.shape, force.shape, cop.shape, size.round(3).tolist()
     ((5, 3), (5, 3, 3), (5,), (5, 2), [0.23, 0.13, 0.03])
 
@@ -700,7 +700,8 @@ def sole_samples(source: Step | Path | str) -> tuple[np.ndarray, ...]:
     Returns:
         Of samples that converged: place of the sole frame (N, 3) [m],
         orientation (N, 3, 3), upward force (N,) [N], centre of pressure (N, 2)
-        [m]; and the sole's length, width, depth below the frame (3,) [m].
+        [m]; and the sole's length, width, depth below the frame (3,) [m], and
+        its middle in the frame, forward and left (2,) [m].
 
     Raises:
         InputError: There is no such file, or it is damaged; no sample
@@ -725,5 +726,6 @@ def sole_samples(source: Step | Path | str) -> tuple[np.ndarray, ...]:
     O, R = history.O[good], history.R[good]  # noqa: E741
     force = up.sum(axis=1)
     cop = np.einsum("qm,qmi->qi", up / force[:, None], P[:, :, :2])
-    size = np.array([*np.ptp(nodes[:, :2], axis=0), -nodes[:, 2].min()])
-    return O, R, force, cop, size
+    low, high = nodes.min(axis=0), nodes.max(axis=0)
+    size = np.array([*(high - low)[:2], -low[2]])
+    return O, R, force, cop, size, 0.5 * (low + high)[:2]

@@ -307,6 +307,18 @@ def test_intervals_are_those_of_least_squares():
     np.testing.assert_allclose(reduction._deviations(best), sd)
 
 
+@pytest.mark.parametrize("planar", [True, False], ids=["plane", "space"])
+def test_a_frame_beside_the_sole_gives_the_same_spheres(planar):
+    """As of a pad under the toes in the frame of an ankle."""
+    own, middle = _truth(planar), np.array([0.3, 0.05])
+    away = np.array([*middle * [1, not planar], 0])
+    moved = replace(own, origin=own.origin - own.rotation @ away, middle=middle)
+    there, here = fit(moved, 1, planar), fit(own, 1, planar)
+    np.testing.assert_allclose(there.place, here.place + away, atol=1e-5)
+    assert there.force_error == pytest.approx(here.force_error, rel=1e-3)
+    assert moved.depth == pytest.approx(own.depth, abs=1e-3)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("planar", [True, False], ids=["plane", "space"])
 def test_intervals_are_in_the_units_of_what_they_are_of(planar, monkeypatch):
