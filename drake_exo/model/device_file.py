@@ -62,13 +62,21 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
 
     Raises:
         InputError: it is no XML, Drake cannot read it, a joint to fix is
-            missing, one is to follow another, or an inertia is that of no body.
+            missing, one is to follow another, links are held by more than
+            joints, or an inertia is not told or that of no body.
     """
     device, notes = assembly.device, []
     root, owner = _owner(device, text)
     for element in list(owner):
         if element.tag in ("transmission", "gazebo"):
             owner.remove(element)
+        space, _, tag = element.tag.rpartition("}")
+        if "drake" in space and tag != "collision_filter_group":
+            raise InputError(
+                f"{device.name}: drake:{tag} holds links together, which only "
+                "hinges do here, and no loops; take it out, and give a spring "
+                "across a hinge as device.joints.NAME"
+            )
         for limits in element.findall("safety_controller"):
             element.remove(limits)
         notes += _without_dynamics(device, element)
@@ -131,10 +139,18 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
 
     In the plane the moment about y alone counts.
     """
+    where = f"{device.name}: link {link.get('name')!r}"
+    told = ("mass", *(f"inertia/{key}" for key in _MOMENTS))
+    if device.kind == "sdf" and not all(
+        (link.findtext(f"inertial/{key}") or "").strip() for key in told
+    ):  # SDF would take 1 kg and 1 kg m^2
+        raise InputError(
+            f"{where}: has no mass or not all moments of inertia; give mass, "
+            "ixx, iyy and izz, zeros if it weighs nothing"
+        )
     inertia = link.find("inertial/inertia")
     if inertia is None:
         return
-    where = f"{device.name}: link {link.get('name')!r}"
 
     def value(key: str) -> float:
         text = inertia.get(key) or inertia.findtext(key) or "0"
@@ -182,17 +198,19 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
 
 
 def _without_dynamics(device: DeviceFile, joint: ET.Element):
-    """Take damping and springs out of a joint, and say so."""
+    """Take damping, springs and rotors out of a joint, and say so."""
+    said: list[str] = []
     for owner in (joint, *joint.findall("axis")):
-        for element in owner.findall("dynamics"):
-            owner.remove(element)
-            said = [*element.attrib.values(), *(e.text for e in element)]
-            if any((text or "").strip(" \n0.-+e") for text in said):
-                name = joint.get("name")
-                yield (
-                    f"{device.name}: joint {name!r}: its dynamics in the file "
-                    f"are left out; give them as device.joints.{name}"
-                )
+        for tag in ("dynamics", "{*}rotor_inertia", "{*}gear_ratio"):
+            for element in owner.findall(tag):
+                owner.remove(element)
+                said += [*element.attrib.values(), *element.itertext()]
+    if any(text.strip(" \n0.-+e") for text in said):
+        name = joint.get("name")
+        yield (
+            f"{device.name}: joint {name!r}: its dynamics in the file are left "
+            f"out; give them as device.joints.{name}"
+        )
 
 
 def _turn(device: DeviceFile, root: ET.Element) -> None:
@@ -414,10 +432,10 @@ def _owner(device: DeviceFile, text: str) -> tuple[ET.Element, ET.Element]:
     except ET.ParseError as error:
         raise InputError(f"{device.name}: is no XML ({error})") from error
     owner = root if root.tag == "robot" else root.find("model")
-    if owner is None:
+    if owner is None or owner.find("model") is not None:
         raise InputError(
-            f"{device.name}: holds no <robot> and no <model>; give the URDF or "
-            "SDF of one device"
+            f"{device.name}: holds no <robot> and no <model>, or models in "
+            "one; give the URDF or SDF of one device"
         )
     return root, owner
 

@@ -935,16 +935,43 @@ def test_either_side_of_a_device_may_be_drawn_its_own_way():
     np.testing.assert_allclose(found[2], found[0], atol=1e-9)
 
 
-def test_loops_of_an_sdf_are_refused():
-    joint = (
-        '<joint name="j{0}" type="revolute"><parent>{0}</parent>'
-        "<child>{1}</child><axis><xyz>0 1 0</xyz></axis></joint>"
-    )
-    more = '<link name="bar"/>' + joint.format("shank", "bar")
-    more += joint.format("bar", "shoe") + "</model>"
+BAR = """<link name="bar"><inertial><mass>1</mass><inertia><ixx>0.1</ixx>
+<iyy>0.1</iyy><izz>0.1</izz></inertia></inertial></link>"""
+HINGE = (
+    '<joint name="j{0}" type="revolute"><parent>{0}</parent>'
+    "<child>{1}</child><axis><xyz>0 1 0</xyz></axis></joint>"
+)
+CRANK = BAR + HINGE.format("shank", "bar")
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (CRANK + HINGE.format("bar", "shoe"), "'jbar' closes a loop"),
+        # As a four-bar is written in Drake's own SDF.
+        (CRANK + "<drake:linear_bushing_rpy/>", "drake:linear_bushing_rpy hol"),
+        (CRANK + "<drake:ball_constraint/>", "drake:ball_constraint holds lin"),
+        # For which SDF has 1 kg and 1 kg m^2.
+        (CRANK + '<link name="tag"/>', "'tag': has no mass or not all"),
+        (CRANK.replace("<mass>1</mass>", ""), "'bar': has no mass or not all"),
+        ('<model name="e">' + BAR + "</model>", "models in one"),
+    ],
+)
+def test_what_an_sdf_may_not_have_is_refused(more, words):
+    text = SDF.replace("<sdf ", '<sdf xmlns:drake="http://drake.mit.edu" ')
     assembly = Assembly(device=DeviceFile({"shoe": "foot"}, Path("d.sdf")))
-    with pytest.raises(InputError, match="'jbar' closes a loop"):
-        brought_in(assembly, SDF.replace("</model>", more))
+    with pytest.raises(InputError, match=words):
+        brought_in(assembly, text.replace("</model>", more + "</model>"))
+
+
+def test_a_rotor_of_an_sdf_is_told_to_be_left_out():
+    rotor = "<drake:rotor_inertia>1e-4</drake:rotor_inertia><axis>"
+    text = SDF.replace("<sdf ", '<sdf xmlns:drake="http://drake.mit.edu" ')
+    assembly = Assembly(device=DeviceFile({"shoe": "foot"}, Path("d.sdf")))
+    device = brought_in(assembly, text.replace("<axis>", rotor)).device
+    (note,) = device.notes
+    assert "give them as device.joints.motor" in note
+    assert "rotor_inertia" not in device.text
 
 
 def test_an_axis_that_is_left_out_is_the_format_s_own():
