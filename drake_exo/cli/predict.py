@@ -360,7 +360,7 @@ def _summary(
             "their first measured state"
             if study.model.assembly.human.sides
             else "the measured chair force"
-            if any(t.chair is not None for t in trials)
+            if any(t.chair_shares for t in trials)
             else "seat-off or later, without a chair"
         ),
     }

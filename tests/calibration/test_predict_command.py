@@ -17,10 +17,11 @@ from drake_exo.calibration.results import (
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.calibration.solving import read_checkpoint
 from drake_exo.cli import main
-from drake_exo.cli.predict import write_predictions
+from drake_exo.cli.predict import _summary, write_predictions
 from drake_exo.contact.parameters import Posterior, nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.output import prepare_output_folder, read_json
+from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.study import Prediction, Study
 from drake_exo.virtual_laboratory import synthetic
 
@@ -185,6 +186,19 @@ def test_what_is_solved_is_written_before_another_trial_is_refused(
     assert (summary["success"], summary["verdict"]) == (False, "not solved")
     assert "rise2: q holds" in summary["status"]
     assert [row["trial"] for row in summary["rmsd"]] == ["rise1"]
+
+
+def test_movements_start_from_a_chair_only_where_it_bears():
+    """An empty plate may lie under the seat."""
+    model, (trial,) = synthetic.rises_on_spheres(1, nodes_per_second=20)
+    starts = []
+    for share in (0.0, 0.3):
+        chair = PlanarWrench.of(share * trial.ground.array)
+        seated = replace(trial, chair=chair)
+        found = _summary(Study(model, [seated]), [], [seated], None)
+        starts.append(found["starts_from"])
+    assert starts[0].startswith("seat-off")
+    assert starts[1] == "the measured chair force"
 
 
 def test_the_contact_beside_scaled_predictions_is_the_scaled_one(
