@@ -1,4 +1,4 @@
-"""Draws docs/pictures: the human, and a rise from a chair with the device."""
+"""Draws docs/pictures/rise.png: a rise from a chair with the device."""
 
 from pathlib import Path
 
@@ -22,12 +22,7 @@ def write_png(path: Path, colours: np.ndarray) -> None:
 
 
 def main() -> None:
-    """Write human.png and rise.png."""
-    _FOLDER.mkdir(exist_ok=True)
-    alone = Scene(nominal_model("human"))
-    write_png(
-        _FOLDER / "human.png", alone.render(alone.upright_pose(STANDING_DEG))
-    )
+    """Write the picture."""
     coupled = Scene(nominal_model("coupled"), chair_height_m=0.43)
     # The exoskeleton's angles differ a little: straps are soft.
     poses = [
