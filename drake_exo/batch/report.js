@@ -44,7 +44,7 @@
     if (Number.isNaN(limit)) return null;
     if (wanted[0] === ">") return (i) => value[i] > limit;
     if (wanted[0] === "<") return (i) => value[i] < limit;
-    return (i) => Number(value[i].toPrecision(5)) === limit;
+    return (i) => parseFloat(number(value[i])) === limit; // as it is shown
   }
 
   function filter() {
