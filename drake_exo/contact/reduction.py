@@ -65,7 +65,8 @@ class Samples:
         x, y, z = self.size
         corners = np.array(
             [[i * x / 2, j * y / 2, -z] for i in (-1, 1) for j in (-1, 1)]
-        ) + [*self.middle, 0]
+        )
+        corners[:, :2] += self.middle
         lowest = self.origin[:, 2, None] + self.rotation[:, 2] @ corners.T
         return float(max(-lowest.min(), 1e-6))
 
