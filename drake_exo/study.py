@@ -83,7 +83,7 @@ from drake_exo.files.output import (
     write_text,
 )
 from drake_exo.measurement.plausibility import Evidence, plausibility, refuse
-from drake_exo.measurement.processing import Recordings, load_trials
+from drake_exo.measurement.processing import Recordings
 from drake_exo.measurement.quality import Quality, assess
 from drake_exo.measurement.settings import (
     Device,
@@ -267,18 +267,9 @@ class Study:
         >>> len(made.alone(made.trials()[:1]).trials())
         1
         """
-        return Study(
-            self.model,
-            trials,
-            name=self.name,
-            foot_ground=self.foot_ground,
-            interaction=self.interaction,
-            prediction=self.prediction,
-            design=self.design,
-            filter=self.filter,
-            sole=self.sole,
-            device=self.device,
-        )
+        parts = (*_SETTINGS, *_PARTS)
+        own = {name: getattr(self, name) for name in parts}
+        return Study(trials=trials, **own)
 
     @property
     def ground(self) -> GroundContact | None:
@@ -430,9 +421,7 @@ class RecordedStudy(Study):
                 f"no trial is for {use}; give those that are 'use: {use}'"
             )
         missing = tuple(f for f in files if f.name not in self._loaded)
-        found = load_trials(
-            self.file, self.root, self.subject, missing, self.recordings
-        )
+        found = self.recordings.trials(missing)
         self._loaded |= {trial.name: trial for trial in found}
         return tuple(self._loaded[f.name] for f in files)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from drake_exo.calibration.design_result import (
     DesignResult,
     WearerResult,
     joint_norm,
-    largest_deflections,
-    largest_forces,
-    largest_moments,
     norm_of,
 )
 from drake_exo.calibration.design_variables import (
@@ -94,37 +91,27 @@ _LIGHT = 0.1
 _NUM_PLACES = 2 + len(PRELOADS)
 
 
-@dataclass(frozen=True)
-class _Posed:
-    """What every wearer's part of a program needs.
+class _Wearing(PhaseProblem):
+    """One wearer's trials in the program of a design.
 
-    Attributes:
-        settings: of the design.
-        variables: name -> decision variable of the design.
+    Args:
+        wearer: without the cuffs that the design leaves out.
+        posed: the design, with its variables.
         scale: force that the norm is taken of [N].
         weights_s: sum of all nodes' weights, over cuffs, trials, wearers [s].
-        today: wearer -> cuff -> largest force (3,) of today; None while that
-            is not known: then there are no limits.
-        deflected: wearer -> cuff -> largest deflection (3,); likewise.
-        support: share of today's work that the device is to do.
-        moments: wearer -> largest moment of each of the person's joints.
     """
 
-    settings: DesignSettings
-    variables: Mapping[str, object]
-    scale: float
-    weights_s: float
-    today: Mapping[str, Mapping[str, np.ndarray]] | None
-    deflected: Mapping[str, Mapping[str, np.ndarray]] | None
-    support: float
-    moments: Mapping[str, np.ndarray] | None
-
-
-class _Wearing(PhaseProblem):
-    """One wearer's trials in the program of a design."""
-
-    def __init__(self, wearer: Wearer, posed: _Posed, program: BatchedProgram):
+    def __init__(
+        self,
+        wearer: Wearer,
+        posed: DesignProblem,
+        scale: float,
+        weights_s: float,
+    ):
         self.wearer, self._posed = wearer, posed
+        self._scale, self._weights_s = scale, weights_s
+        # None while that is not known: then there are no limits.
+        self._today = posed.today and posed.today.wearers[wearer.name]
         settings = posed.settings
         jerk = settings.jerk or _LOOSE * wearer.contact.jerk
         phase = PredictionSettings(
@@ -144,7 +131,7 @@ class _Wearing(PhaseProblem):
             wearer.contact,
             [],
             phase,
-            program=program,
+            program=posed.program,
         )
         self._limit_support()
 
@@ -299,14 +286,13 @@ class _Wearing(PhaseProblem):
 
     def _add_forces(self, movement: TrialProgram) -> None:
         """The norm of the cuffs' forces, as mats would show them, as a cost."""
-        posed = self._posed
-        settings = posed.settings
-        share = movement.grid.quadrature / posed.weights_s
+        settings = self._posed.settings
+        share = movement.grid.quadrature / self._weights_s
         used = share > 0.0
         for cuff, force in movement.cuffs.items():
             kernel = ForceNormKernel(
                 settings.exponent,
-                posed.scale / self.wearer.shown(cuff),
+                self._scale / self.wearer.shown(cuff),
                 settings.shear_weight,
             )
             felt = force[used][:, [TANGENTIAL, NORMAL]]
@@ -325,16 +311,15 @@ class _Wearing(PhaseProblem):
 
         Of forces across a limb as mats would show them.
         """
-        if self._posed.today is None:
+        if self._today is None:
             return
-        settings = self._posed.settings
-        limits, program = settings.limits, self.program
+        limits, program = self._posed.settings.limits, self.program
         times = [f"at {t:.3g} s" for t in movement.grid.times]
         n = len(times)
         for cuff, force in movement.cuffs.items():
             differ = self.wearer.shown(cuff)
             most = np.full(3, np.inf)
-            today = self._posed.today[self.wearer.name][cuff]
+            today = self._today.largest_forces[cuff]
             for k, _, limit in limits.of_forces(today):
                 most[k] = min(most[k], limit)
             most[NORMAL] /= differ
@@ -362,27 +347,23 @@ class _Wearing(PhaseProblem):
                 self._limit_pressure(movement, cuff, times)
         if limits.effort_factor is not None:
             own = movement.torque[:, ~movement.coordinates.is_device_joint]
-            most = limits.effort_factor * self._posed.moments[self.wearer.name]
+            most = limits.effort_factor * self._today.largest_moments
             edge = np.broadcast_to(most, own.shape).ravel()
             movement.bound(own.ravel(), -edge, edge)
 
     def _limit_migration(self, movement, cuff: str, times) -> None:
         prog, grid = self.program.prog, movement.grid
-        n = len(times)
-        slid = prog.NewContinuousVariables(
-            n, f"{movement.name} {cuff} migration"
-        ).reshape(n, 1)
-        for variable in slid.ravel():
-            prog.SetVariableScaling(variable, 0.01)
+        n, name = len(times), f"{movement.name} {cuff} migration"
+        slid = movement.new(f"{cuff} migration", [0.01])
         self.program.label(
             "limit",
             slid,
-            [f"{movement.name} {cuff} migration"],
+            [name],
             times,
             [("mm", 1e3 * self.wearer.slides(cuff))],
         )
         self._slid[cuff, movement.name] = slid
-        today = self._posed.deflected[self.wearer.name][cuff][TANGENTIAL]
+        today = self._today.largest_deflections[cuff][TANGENTIAL]
         wanted = self._most_migration(cuff)
         most = np.full(n, max(wanted, today))
         movement.bound(slid.ravel(), -most, most)
@@ -396,12 +377,10 @@ class _Wearing(PhaseProblem):
                     np.full(n, -np.inf),
                     np.full(n, wanted),
                     np.concatenate([slid.ravel(), beyond]),
-                ).evaluator().set_description(
-                    f"{movement.name} {cuff} migration beyond its limit"
-                )
+                ).evaluator().set_description(f"{name} beyond its limit")
         places = self.places(cuff)
         self.program.add_constraints(
-            f"{movement.name} {cuff} migration",
+            name,
             MigrationKernel(self.bushings[cuff]),
             np.hstack(
                 [grid.q, np.broadcast_to(places, (n, len(places))), slid]
@@ -437,9 +416,8 @@ class _Wearing(PhaseProblem):
         return limit / self.wearer.slides(cuff)
 
     def _limit_pressure(self, movement, cuff: str, times) -> None:
-        prog, n = self.program.prog, len(times)
-        name = f"{movement.name} {cuff} pressure"
-        pressed = prog.NewContinuousVariables(n, name).reshape(n, 1)
+        n, name = len(times), f"{movement.name} {cuff} pressure"
+        pressed = movement.new(f"{cuff} pressure", [1.0])
         differ = self.wearer.shown(cuff)
         self.program.label("limit", pressed, [name], times, [("kPa", differ)])
         self._pressed[cuff, movement.name] = pressed
@@ -447,7 +425,7 @@ class _Wearing(PhaseProblem):
         most = np.full(n, settings.limits.pressure_kpa / differ)
         area_m2 = settings.freedom(cuff).area_m2
         if self.wearer.is_drawn:
-            today = self._posed.today[self.wearer.name][cuff][NORMAL]
+            today = self._today.largest_forces[cuff][NORMAL]
             most = np.maximum(most, 1e-3 * today / area_m2)
         movement.bound(pressed.ravel(), -most, most)
         area = np.broadcast_to(self._of_cuff(cuff, ["area"]), (n, 1))
@@ -490,7 +468,7 @@ class _Wearing(PhaseProblem):
         """The device's work over all trials, about that of today."""
         posed = self._posed
         limit = posed.settings.limits.support
-        if posed.today is None or limit is None:
+        if self._today is None or limit is None:
             return
         prog, name = self.program.prog, f"{self.wearer.name} work"
         self._total = self.program.add_variables([name], [10.0])
@@ -625,17 +603,9 @@ class DesignProblem(Compiles):
         cuffs = len(self.wearers[0].model.cuffs)
         own = [norm_of(w.trials, settings, shown=w.shown) for w in self.wearers]
         durations = [t.duration for w in self.wearers for t in w.trials]
-        posed = _Posed(
-            settings,
-            self.variables,
-            max(joint_norm(own), _LEAST_SCALE_N),
-            cuffs * sum(durations),
-            None if today is None else largest_forces(today),
-            None if today is None else largest_deflections(today),
-            support,
-            None if today is None else largest_moments(today),
-        )
-        self.parts = [_Wearing(w, posed, self.program) for w in wearing]
+        scale = max(joint_norm(own), _LEAST_SCALE_N)
+        weights_s = cuffs * sum(durations)
+        self.parts = [_Wearing(w, self, scale, weights_s) for w in wearing]
         self.build_seconds = time.perf_counter() - start
 
     @classmethod

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -44,6 +44,34 @@ class WearerResult:
     solution: Solution
     contact: ContactModel
     trials: list[Trial]
+
+    @cached_property
+    def largest_forces(self) -> dict[str, np.ndarray]:
+        """Cuff -> largest tangential, normal force, moment (3,) [N, N, N m]."""
+        forces = {
+            cuff: [np.abs(t.cuffs[cuff].components) for t in self.trials]
+            for cuff in self.problem.bushings
+        }
+        return {c: np.vstack(f).max(axis=0) for c, f in forces.items()}
+
+    @cached_property
+    def largest_deflections(self) -> dict[str, np.ndarray]:
+        """Cuff -> largest deflection (3,) over trials [m, m, rad]."""
+        return {
+            cuff: kinematics.largest(
+                self.trials, self.contact.bushings[cuff].origin
+            )
+            for cuff, kinematics in self.problem.bushings.items()
+        }
+
+    @cached_property
+    def largest_moments(self) -> np.ndarray:
+        """Of each of the person's joints over trials [N m]."""
+        human = [
+            np.abs(t.moments[:, ~t.coordinates.is_device_joint])
+            for t in self.trials
+        ]
+        return np.vstack(human).max(axis=0)
 
 
 @dataclass(frozen=True)
@@ -173,52 +201,6 @@ def worn_norm(
 def joint_norm(norms: Iterable[Norm]) -> float:
     """Of several wearers together [N]."""
     return reduce(Norm.with_more, norms).newton
-
-
-def largest_forces(result: DesignResult) -> dict[str, dict[str, np.ndarray]]:
-    """Wearer -> cuff -> largest force (3,) over its trials [N, N, N m]."""
-    return {
-        name: {
-            cuff: peaks(found.trials, cuff) for cuff in found.problem.bushings
-        }
-        for name, found in result.wearers.items()
-    }
-
-
-def largest_deflections(
-    result: DesignResult,
-) -> dict[str, dict[str, np.ndarray]]:
-    """Wearer -> cuff -> largest deflection (3,) [m, m, rad]."""
-    return {
-        name: {
-            cuff: kinematics.largest(
-                found.trials, found.contact.bushings[cuff].origin
-            )
-            for cuff, kinematics in found.problem.bushings.items()
-        }
-        for name, found in result.wearers.items()
-    }
-
-
-def peaks(trials: Sequence[Trial], cuff: str) -> np.ndarray:
-    """Largest tangential, normal force and moment (3,) over trials."""
-    return np.max(
-        [np.abs(t.cuffs[cuff].components).max(axis=0) for t in trials], axis=0
-    )
-
-
-def largest_moments(result: DesignResult) -> dict[str, np.ndarray]:
-    """Wearer -> largest moment of each of its joints over trials [N m]."""
-    return {
-        name: np.max(
-            [
-                np.abs(t.moments[:, ~t.coordinates.is_device_joint]).max(axis=0)
-                for t in found.trials
-            ],
-            axis=0,
-        )
-        for name, found in result.wearers.items()
-    }
 
 
 def works(result: DesignResult) -> dict[str, float]:

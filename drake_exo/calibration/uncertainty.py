@@ -141,7 +141,8 @@ def uncertainty(
     index = problem.program.indices(problem.parameter_variables[free])
     columns = program.unknowns.column_of(index)
     unit = program.unknowns.scale[index]
-    found = response(program, y, columns, _border(problem))
+    border = program.unknowns.column_of(_shared(problem))
+    found = response(program, y, columns, border)
     found = Response(
         unit[:, None] * found.by_gradient, unit[:, None] * found.by_bounds
     )
@@ -165,7 +166,7 @@ def uncertainty(
     by_prior = by_x[:, index] / prior
     covariance += by_prior @ by_prior.T
     return Uncertainty(
-        [problem.parameters[k].name for k in free],
+        [p.name for p in chosen],
         covariance,
         found.by_gradient @ _regulariser(problem, program, y),
         np.minimum(prior, [p.span / 4.0 for p in chosen]),
@@ -205,21 +206,18 @@ def posterior(result: PhaseResult) -> Posterior:
     device that swings would seem to tell when its encoders were read.
     """
     problem = result.problem
-    free = _free(problem)
-    names = [problem.parameters[k].name for k in free]
-    variables = problem.parameter_variables[free]
+    names = [problem.parameters[k].name for k in _free(problem)]
     if problem.error_variables is not None:
         names += problem.errors.names
-        variables = np.r_[variables, problem.error_variables]
     program = problem.compiled
     x = result.values
     y = program.restrict(x)
-    index = problem.program.indices(variables)
+    index = _shared(problem)
     columns = program.unknowns.column_of(index)
     unit = program.unknowns.scale[index]
     matrix = program.unknowns.matrix
     jerk = matrix.T @ sp.diags_array(_jerk_weights(problem)) @ matrix
-    found = response(program, y, columns, _border(problem), jerk).by_gradient
+    found = response(program, y, columns, without=jerk).by_gradient
     covariance = -unit[:, None] * found[:, columns] * unit
     covariance = 0.5 * (covariance + covariance.T)
     return Posterior(tuple(names), x[index], covariance)
@@ -235,13 +233,12 @@ def _free(problem: PhaseProblem) -> list[int]:
     ]
 
 
-def _border(problem: PhaseProblem) -> np.ndarray:
-    """Unknowns that touch all nodes of a trial: parameters and errors."""
+def _shared(problem: PhaseProblem) -> np.ndarray:
+    """Variables that touch all nodes of a trial: free parameters, errors."""
     variables = problem.parameter_variables[_free(problem)]
     if problem.error_variables is not None:
         variables = np.r_[variables, problem.error_variables]
-    index = problem.program.indices(variables)
-    return problem.compiled.unknowns.column_of(index)
+    return problem.program.indices(variables)
 
 
 def _noise(movement: TrialProgram, problem, found, by_x, cut, order):

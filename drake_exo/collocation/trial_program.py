@@ -105,10 +105,10 @@ class TrialProgram:
             program, name, tree.num_positions, duration, intervals, parts
         )
         moments = np.full(tree.coordinates.num_joints, MOMENT_UNIT)
-        self.torque = self._new("torque", moments)
+        self.torque = self.new("torque", moments)
         bodies = (tree.root,) if bodies is None else tuple(bodies)
         wrench = tuple(WRENCH_UNITS)
-        self.ground = self._new("ground", wrench * len(bodies))
+        self.ground = self.new("ground", wrench * len(bodies))
         parts = np.split(self.ground, len(bodies), axis=1)
         self.grounds = dict(zip(bodies, parts, strict=True))
         self.poses: dict[str, np.ndarray] = {}
@@ -124,7 +124,7 @@ class TrialProgram:
         if bushings:
             kinematics, places = zip(*bushings.values(), strict=True)
             kernel = coupled(tree, list(kinematics), bodies)
-            forces = self._new("interaction", units)
+            forces = self.new("interaction", units)
             inputs += [forces, self._at_nodes(np.concatenate(places))]
             parts = np.split(forces, len(bushings), axis=1)
             self.cuffs = dict(zip(bushings, parts, strict=True))
@@ -151,7 +151,7 @@ class TrialProgram:
             root = self.coordinates.root_columns
             self.poses[body] = np.hstack([grid.q[:, root], grid.v[:, root]])
             return
-        self.poses[body] = self._new(f"{body} pose", np.ones(6))
+        self.poses[body] = self.new(f"{body} pose", np.ones(6))
         self.ties[body] = PoseKernel(tree, body)
         self.program.add_constraints(
             f"{self.name} pose of {body}",
@@ -159,8 +159,8 @@ class TrialProgram:
             np.hstack([grid.q, grid.v, self.poses[body]]),
         )
 
-    def _new(self, what: str, units) -> np.ndarray:
-        """New variables (n, len(units)) of given typical sizes."""
+    def new(self, what: str, units) -> np.ndarray:
+        """New variables (n, len(units)) at the nodes, of typical sizes."""
         prog, n = self.program.prog, len(self.grid.times)
         variables = prog.NewContinuousVariables(
             n * len(units), f"{self.name} {what}"

@@ -1,5 +1,6 @@
 """From a study's files to its trials."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -177,7 +178,7 @@ class Recording:
 
 
 class Recordings:
-    """Processed recordings of a study, each made once.
+    """Processed recordings of a study, each made once, and their trials.
 
     Args:
         settings: of the study.
@@ -218,44 +219,30 @@ class Recordings:
             f"too few others are left on the {loose.replace('_', ' ')}"
         )
 
+    def trials(self, files: Sequence[TrialFiles]) -> tuple[Trial, ...]:
+        """Read and process files, and cut out their trials.
+
+        Trials from the same recording share its inverse kinematics. Markers
+        that are hidden for too long in the used part are left out where enough
+        others of their segment remain.
+
+        Raises:
+            InputError: a file or the study is not as it should be.
+        """
+        subject, settings, _ = self._made_with
+        problems = [p for p in map(self.problem, files) if p is not None]
+        if problems:
+            longest = settings.laboratory.fill_gaps_s
+            raise InputError(f"{'; '.join(problems)}; {gap_remedy(longest)}")
+        return tuple(
+            cut(one, self.used(one), subject, settings) for one in files
+        )
+
     def _long(self, files: TrialFiles) -> list[Gap]:
         found = self.of(files)
         start, end, _ = _bounds(files, found)
         reach = self._made_with[1].filter.reach_s
         return found.motion.gaps.too_long(start - reach, end + reach)
-
-
-def load_trials(
-    settings: RecordingSettings,
-    root: Path,
-    subject: SubjectModel,
-    files: tuple[TrialFiles, ...],
-    recordings: Recordings | None = None,
-) -> tuple[Trial, ...]:
-    """Read and process files, and cut out their trials.
-
-    Trials from the same recording share its inverse kinematics. Markers that
-    are hidden for too long in the used part are left out where enough others
-    of their segment remain.
-
-    Args:
-        settings: of the study.
-        root: folder that its paths start from.
-        subject: fitted to the standing trial.
-        files: of the trials.
-        recordings: keeps what they are cut from.
-
-    Raises:
-        InputError: a file or the study is not as it should be.
-    """
-    recordings = recordings or Recordings(settings, root, subject)
-    problems = [p for p in map(recordings.problem, files) if p is not None]
-    if problems:
-        longest = settings.laboratory.fill_gaps_s
-        raise InputError(f"{'; '.join(problems)}; {gap_remedy(longest)}")
-    return tuple(
-        cut(one, recordings.used(one), subject, settings) for one in files
-    )
 
 
 def _recording(files: TrialFiles) -> TrialFiles:
@@ -290,7 +277,7 @@ def process(
         without: markers to leave out.
 
     Raises:
-        InputError: as `load_trials`.
+        InputError: as `Recordings.trials`.
     """
     laboratory, low_pass_filter = settings.laboratory, settings.filter
     seen = read_markers(root / files.markers, low_pass_filter)

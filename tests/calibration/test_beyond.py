@@ -9,7 +9,6 @@ from worn import as_guessed
 from worn import wearer as worn
 
 from drake_exo.calibration.design import DesignProblem
-from drake_exo.calibration.design_result import largest_deflections
 from drake_exo.calibration.settings import DesignLimits, PredictionSettings
 from drake_exo.calibration.wearers import (
     OwnMovement,
@@ -32,7 +31,7 @@ def wearer():
 def test_migration_beyond_its_limit_costs_more_than_forces_do(wearer):
     """2.5 times the objective's weight for all of it, either way."""
     today = as_guessed(DesignProblem([wearer], SETTINGS, held=True))
-    slid = largest_deflections(today)["somebody"]
+    slid = today.wearers["somebody"].largest_deflections
     limit = 1e3 * 0.5 * min(d[0] for d in slid.values())
     settings = replace(
         SETTINGS, weight=3.0, limits=DesignLimits(migration_mm=limit)

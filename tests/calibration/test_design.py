@@ -11,8 +11,6 @@ from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_cuffs import fewer
 from drake_exo.calibration.design_result import (
     device_work,
-    largest_deflections,
-    largest_forces,
     norm_of,
     works,
     worn_norm,
@@ -167,7 +165,7 @@ def test_what_mats_show_is_what_is_minimised(wearer, found, today):
     other = DesignProblem([seen], SETTINGS, today=own).solve()
     assert other.solution.success
     peaks, before = (
-        {c: f[1] for c, f in largest_forces(r)["somebody"].items()}
+        {c: f[1] for c, f in r.wearers["somebody"].largest_forces.items()}
         for r in (other, found)
     )
     assert peaks["thigh"] < 0.95 * before["thigh"]
@@ -197,7 +195,7 @@ def test_what_mats_show_is_what_is_minimised(wearer, found, today):
         [seen], replace(SETTINGS, limits=limits), today=own
     ).solve()
     assert within.solution.success
-    forces = largest_forces(within)["somebody"]
+    forces = within.wearers["somebody"].largest_forces
     felt = [f[1] * seen.differ.get(c, 1.0) for c, f in forces.items()]
     assert max(felt) == pytest.approx(most, rel=1e-3)
 
@@ -235,7 +233,9 @@ def test_a_cuff_is_left_out_where_that_is_less_and_may_be(wearer, today):
 
 def test_a_design_lowers_the_norm_and_keeps_its_limits(found, today):
     assert found.norm_n < 0.9 * today.norm_n
-    before, after = (largest_forces(r)["somebody"] for r in (today, found))
+    before, after = (
+        r.wearers["somebody"].largest_forces for r in (today, found)
+    )
     for cuff, force in after.items():
         assert force[2] <= before[cuff][2] * (1.0 + 1e-4)
     work = [works(r)["somebody"] for r in (today, found)]
@@ -412,13 +412,15 @@ def test_all_that_may_change_is_forecast(wearer, today, in_device, driven):
 
 def test_pressure_keeps_its_limit(wearer, today):
     """Less than today's, by a larger cuff or a smaller force."""
-    peak = {c: f[1] for c, f in largest_forces(today)["somebody"].items()}
+    peak = {
+        c: f[1] for c, f in today.wearers["somebody"].largest_forces.items()
+    }
     most = 0.7 * max(peak.values()) / 10.0  # kPa on 100 cm^2
     limits = replace(SETTINGS.limits, pressure_kpa=most)
     settings = replace(EVERYTHING, limits=limits)
     result = DesignProblem([wearer], settings, today=today).solve()
     assert result.solution.success
-    after = largest_forces(result)["somebody"]
+    after = result.wearers["somebody"].largest_forces
     pressures = [0.1 * after[c][1] / result.design.cuffs[c].area for c in after]
     assert max(pressures) <= most * 1.001
 
@@ -429,10 +431,10 @@ def test_hinges_in_cuffs_bear_less_moment(wearer, today):
     hinged = CuffFreedom(hinge=(0.0, 1.0), strap_nm_rad=None)
     cuffs = dict.fromkeys(wearer.model.cuffs, hinged)
     settings = replace(SETTINGS, cuffs=cuffs, limits=limits)
-    before = largest_forces(today)["somebody"]
+    before = today.wearers["somebody"].largest_forces
     result = DesignProblem([wearer], settings, today=today).solve()
     assert result.solution.success
-    for cuff, force in largest_forces(result)["somebody"].items():
+    for cuff, force in result.wearers["somebody"].largest_forces.items():
         assert force[2] <= 0.2 * before[cuff][2] * (1.0 + 1e-4)
         own = result.design.cuffs[cuff]
         assert own.hinge > 0.5 and own.strap_rotational_nm_rad is None
@@ -582,7 +584,7 @@ def test_migration_comes_to_its_limit_or_as_near_as_it_can(
     wearer, today, monkeypatch
 ):
     """Beyond it today: what is asked for first of all, before any force."""
-    before = largest_deflections(today)["somebody"]
+    before = today.wearers["somebody"].largest_deflections
     cuff = max(before, key=lambda c: before[c][0])
     most = 1e3 * before[cuff][0]
 
@@ -591,7 +593,7 @@ def test_migration_comes_to_its_limit_or_as_near_as_it_can(
         settings = replace(SETTINGS, limits=limits)
         result = DesignProblem([wearer], settings, today=today).solve()
         assert result.solution.success
-        after = largest_deflections(result)["somebody"]
+        after = result.wearers["somebody"].largest_deflections
         return result, {c: 1e3 * d[0] for c, d in after.items()}
 
     result, after = reached(0.9 * most)

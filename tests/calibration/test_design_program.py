@@ -15,11 +15,7 @@ from drake_exo.calibration.design_result import (
     Norm,
     device_work,
     joint_norm,
-    largest_deflections,
-    largest_forces,
-    largest_moments,
     norm_of,
-    peaks,
     works,
 )
 from drake_exo.calibration.design_variables import (
@@ -312,8 +308,8 @@ def test_limits_are_on_what_is_felt(wearer, today):
     problem = DesignProblem([seen], settings, today=today)
     (part,) = problem.parts
     (movement,) = part.movements
-    before = largest_forces(today)["somebody"]
-    slid = largest_deflections(today)["somebody"]
+    before = today.wearers["somebody"].largest_forces
+    slid = today.wearers["somebody"].largest_deflections
     for cuff, force in movement.cuffs.items():
         factor = seen.shown(cuff)
         along, _, moment = before[cuff]
@@ -347,7 +343,7 @@ def test_one_who_is_drawn_need_not_feel_less_than_today(wearer, today):
     )
     (part,) = problem.parts
     (movement,) = part.movements
-    for cuff, most in largest_forces(today)["somebody"].items():
+    for cuff, most in today.wearers["somebody"].largest_forces.items():
         _, upper = bounds(problem, movement.cuffs[cuff])
         np.testing.assert_allclose(
             upper[:, 1:], np.tile(most[1:], (len(upper), 1))
@@ -566,17 +562,22 @@ def test_the_norm_by_hand():
     assert norm_of([one], mean) == pytest.approx(Norm(50.0, 2.0, 2.0))
 
 
-def test_peaks_and_work_of_a_trial(wearer):
+def test_peaks_and_work_of_a_trial(wearer, today):
     (own,) = wearer.trials
+
+    def peaks(*trials):
+        worn = replace(today.wearers["somebody"], trials=list(trials))
+        return worn.largest_forces
+
     # Where all is largest lies between two samples.
     top = np.sin(np.pi * own.times / own.duration).max() ** 2
     for cuff, force in FORCES.items():
         expected = top * np.abs(force)
-        np.testing.assert_allclose(peaks([own], cuff), expected)
+        np.testing.assert_allclose(peaks(own)[cuff], expected)
         twice = replace(own.cuff(cuff), normal=2.0 * own.cuff(cuff).normal)
-        more = replace(own, cuffs={cuff: twice})
+        more = replace(own, cuffs=own.cuffs | {cuff: twice})
         np.testing.assert_allclose(
-            peaks([own, more], cuff), expected * [1.0, 2.0, 1.0]
+            peaks(own, more)[cuff], expected * [1.0, 2.0, 1.0]
         )
     work = sum(
         np.trapezoid(own.moment(j) * own.velocity(j), own.times)
@@ -588,12 +589,14 @@ def test_peaks_and_work_of_a_trial(wearer):
 def test_largest_deflections_and_moments(wearer, today):
     """Forces over stiffness, and the person's own moments."""
     (found,) = today.wearers["somebody"].trials
-    for cuff, far in largest_deflections(today)["somebody"].items():
+    for cuff, far in today.wearers["somebody"].largest_deflections.items():
         k = np.array(wearer.contact.bushings[cuff].stiffness)
         expected = np.abs(found.cuffs[cuff].components / k).max(axis=0)
         np.testing.assert_allclose(far, expected, rtol=1e-6, atol=1e-12)
     expected = [np.abs(found.moment(j)).max() for j in ("ankle", "knee", "hip")]
-    np.testing.assert_allclose(largest_moments(today)["somebody"], expected)
+    np.testing.assert_allclose(
+        today.wearers["somebody"].largest_moments, expected
+    )
 
 
 def test_variables_of_a_design(wearer):

@@ -38,7 +38,8 @@ def _by_x(problem, result):
     free = [p.free for p in problem.parameters]
     index = problem.program.indices(problem.parameter_variables[free])
     columns = program.unknowns.column_of(index)
-    found = response(program, y, columns, intervals._border(problem))
+    border = program.unknowns.column_of(intervals._shared(problem))
+    found = response(program, y, columns, border)
     unit = program.unknowns.scale[index][:, None]
     return index, unit * found.by_gradient @ program.unknowns.matrix.T
 

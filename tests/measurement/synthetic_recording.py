@@ -17,7 +17,7 @@ from drake_exo.measurement.kinematics import (
     inverse_dynamics,
     wrench_on_body,
 )
-from drake_exo.measurement.processing import load_trials
+from drake_exo.measurement.processing import Recordings
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.subject import fit_subject
 from drake_exo.model.description import fit_exoskeleton
@@ -52,7 +52,7 @@ class Recording:
 def load(study, folder):
     """Subject and trials of a study's files."""
     subject = fit_subject(study, folder)
-    return subject, load_trials(study, folder, subject, study.trials)
+    return subject, Recordings(study, folder, subject).trials(study.trials)
 
 
 def step(t, start, end):

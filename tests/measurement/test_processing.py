@@ -25,7 +25,7 @@ from drake_exo.files.tables import MarkerData, Table
 from drake_exo.measurement import processing
 from drake_exo.measurement.filters import fill_gaps
 from drake_exo.measurement.kinematics import inverse_dynamics
-from drake_exo.measurement.processing import load_trials, process
+from drake_exo.measurement.processing import Recordings, process
 from drake_exo.measurement.settings import Axes, Ground, Scaling
 from drake_exo.measurement.subject import fit_subject
 from drake_exo.model.segments import scale_human
@@ -149,7 +149,7 @@ def test_provenance_names_files_filter_and_shifts(loaded):
 def test_one_trial_is_like_many(made, loaded):
     folder, _, study = made
     subject, trials = loaded
-    (single,) = load_trials(study, folder, subject, study.trials[1:])
+    (single,) = Recordings(study, folder, subject).trials(study.trials[1:])
     np.testing.assert_array_equal(single.q, trials[1].q)
 
 
@@ -158,19 +158,19 @@ def test_window_instead_of_a_rise(made, loaded):
     folder, _, study = made
     subject, _ = loaded
     files = replace(study.trials[0], rise=None, start_s=2.0, end_s=3.0)
-    (trial,) = load_trials(study, folder, subject, (files,))
+    (trial,) = Recordings(study, folder, subject).trials((files,))
     assert time_of(trial)[[0, -1]] == pytest.approx([2.0, 3.0])
     # A frame's time and a study's are not rounded alike.
     files = replace(files, start_s=2.0 + 1e-12, end_s=3.0 - 1e-12)
-    (same,) = load_trials(study, folder, subject, (files,))
+    (same,) = Recordings(study, folder, subject).trials((files,))
     np.testing.assert_array_equal(time_of(same), time_of(trial))
     files = replace(study.trials[0], rise=1, end_s=3.0)
-    (trial,) = load_trials(study, folder, subject, (files,))
+    (trial,) = Recordings(study, folder, subject).trials((files,))
     assert time_of(trial)[-1] == pytest.approx(3.0)
     assert trial.start_s == trial.provenance["part"]["seat_off_s"]
     files = replace(study.trials[0], rise=None, start_s=2.0, end_s=2.1)
     with pytest.raises(InputError, match=r"shorter than a period .* \(6 Hz\)"):
-        load_trials(study, folder, subject, (files,))
+        Recordings(study, folder, subject).trials((files,))
 
 
 def test_one_leg_is_doubled(made, loaded):
@@ -178,7 +178,7 @@ def test_one_leg_is_doubled(made, loaded):
     subject, _ = loaded
     plates = replace(study.trials[0].plates, left=None)
     files = replace(study.trials[0], plates=plates)
-    (trial,) = load_trials(study, folder, subject, (files,))
+    (trial,) = Recordings(study, folder, subject).trials((files,))
     assert trial.provenance["one_leg_doubled"] is True
     at = np.round(time_of(trial) * RATE).astype(int)
     # Plate 1 bears 40 %, so two of it bear 80 %.
@@ -345,7 +345,7 @@ def test_a_marker_hidden_for_long_is_left_out_where_it_matters(files, loaded):
     assert all(t.provenance["gaps_filled"] == {} for t in trials)
     for trial, whole in zip(trials, loaded[1], strict=True):
         assert np.abs(trial.q - whole.q).max() < 1e-6
-    alone = load_trials(study, folder, loaded[0], study.trials[1:])
+    alone = Recordings(study, folder, loaded[0]).trials(study.trials[1:])
     np.testing.assert_array_equal(alone[0].q, trials[1].q)
 
 
