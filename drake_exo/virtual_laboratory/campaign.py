@@ -3,11 +3,8 @@
 Its study file says no more than a real laboratory would know.
 """
 
-import signal
 from collections.abc import Iterable, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +14,7 @@ from drake_exo.contact.strap import Design
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import write_table
 from drake_exo.files.output import Progress, read_json, write_json
+from drake_exo.jobs.engine import Ended, Job, Processes, run_jobs
 from drake_exo.measurement.settings import Filter
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.segments import LEG_JOINTS
@@ -370,8 +368,7 @@ def write_campaign(
         full: also record what the study does not use, as the paper did.
         files: "c3d" or "opensim" (.trc and .mot).
         truth: "wide", or "near" to what a calibration begins with.
-        processes: that work at once; has no influence on the result. With
-            more than one, a script needs `if __name__ == "__main__"`.
+        processes: that work at once; has no influence on the result.
         design: built and worn by the same subject, who does the same.
         assisted: leave out movements in the passive device.
 
@@ -457,25 +454,23 @@ def _recorded(job, movements, processes, progress) -> list[dict]:
         for done, movement in enumerate(movements):
             entries[movement.name] = job.record(movement, progress, done)
     else:
-        # Interrupted, workers end at once instead of after their movement.
-        with ProcessPoolExecutor(
-            processes,
-            get_context("spawn"),
-            signal.signal,
-            (signal.SIGINT, signal.SIG_DFL),
-        ) as pool:
-            futures = {
-                pool.submit(Campaign.record, job, m): m for m in movements
-            }
-            try:
-                for done, future in enumerate(as_completed(futures), 1):
-                    name = futures[future].name
-                    entries[name] = future.result()
-                    progress.update(name, done)
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+
+        def end(row: Ended) -> None:
+            entries[row.name] = row.result()
+            progress.update(row.name, len(entries))
+
+        jobs = [
+            Job(m.name, f"{__name__}:record", {"job": job, "movement": m})
+            for m in movements
+        ]
+        with Processes(processes) as pool:
+            run_jobs(jobs, pool, end)
     return [entries[m.name] for m in movements if m.is_used]
+
+
+def record(job: "Campaign", movement: Repetition) -> dict:
+    """`Campaign.record` in another process."""
+    return job.record(movement)
 
 
 class Campaign:
