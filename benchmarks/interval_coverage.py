@@ -12,9 +12,9 @@ from dataclasses import asdict, replace
 from functools import cache
 
 import numpy as np
+from calls import run_calls
 
 from drake_exo.calibration.uncertainty import uncertainty
-from drake_exo.jobs.engine import run_calls
 from drake_exo.virtual_laboratory.synthetic import (
     INSTRUMENT_NOISE,
     noisy,

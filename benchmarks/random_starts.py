@@ -24,6 +24,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from calls import run_calls
 
 from drake_exo.calibration.phases import FootGroundCalibration
 from drake_exo.calibration.settings import (
@@ -32,7 +33,6 @@ from drake_exo.calibration.settings import (
     Solver,
     SphereSettings,
 )
-from drake_exo.jobs.engine import run_calls
 from drake_exo.model.plant import nominal_model
 from drake_exo.report.gathering import format_table
 from drake_exo.study import read_study

@@ -21,6 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from calls import run_calls
 from scipy.linalg import toeplitz
 from scipy.stats import norm
 
@@ -30,7 +31,6 @@ from drake_exo.calibration.clocks import LARGEST_DOUBT_S, Clock
 from drake_exo.calibration.error_model import ErrorSizes
 from drake_exo.files.opensim import read_table
 from drake_exo.files.output import read_json
-from drake_exo.jobs.engine import run_calls
 from drake_exo.measurement.filters import low_pass
 from drake_exo.study import uncalibrated
 

@@ -19,8 +19,8 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from calls import run_calls
 
-from drake_exo.jobs.engine import run_calls
 from drake_exo.papers.de_magistris import five_cases, step_block
 from drake_exo.soles.optimize.search import optimise
 from drake_exo.soles.settings import Setup

@@ -3,8 +3,7 @@
 A job is a call of a module's function in another process. What runs it is a
 `Pool`: `Processes` of this machine, which outlive one that is killed, or a
 Dask `Cluster`. Here is which job may begin, what a failure means for those
-that need it, progress; and one function called many times (`run_calls`), or
-beside something else (`second_process`).
+that need it, progress; and a call beside something else (`second_process`).
 
 A Dask worker hands its job to a `Worker`: compiled code that keeps Python's
 lock cannot then cost the Dask worker its connection, and a process that is
@@ -607,45 +606,6 @@ class Here(Pool):
 _LEAVE_SECONDS = 20.0  # that a call may take to write what it has
 
 
-def run_calls(
-    function: Callable,
-    calls: Sequence[Mapping[str, Any]],
-    workers: int = 2,
-    title: str = "",
-    tell: Callable[[Any], object] | None = None,
-) -> list:
-    """What a function returns, for each set of arguments.
-
-    Args:
-        function: of a module, or of the script that runs; what it prints is
-            lost.
-        calls: arguments by name.
-        workers: processes at once.
-        title: begins lines of progress on standard error.
-        tell: told each value as it comes.
-
-    Returns:
-        The values, in the order of `calls`.
-
-    Raises:
-        RuntimeError: a call failed; those that wait are not made.
-    """
-    name = _name(function)
-    jobs = [Job(f"{k}/{title}", name, call) for k, call in enumerate(calls)]
-
-    def end(row: Ended) -> None:
-        if row.state != "done":
-            call = dict(calls[int(row.name.partition("/")[0])])
-            raise RuntimeError(f"{name}({call}): {row.error}\n{row.trace}")
-        if tell is not None:
-            tell(row.value)
-
-    progress = BatchProgress(title, stream=sys.stderr)
-    with Processes(workers) as pool:
-        ended = run_jobs(jobs, pool, end, progress)
-    return [row.value for row in ended.values()]
-
-
 class Beside:
     """A call that a second process makes meanwhile.
 
@@ -690,20 +650,11 @@ def second_process() -> Iterator[Callable[..., Beside]]:
     with Processes(1) as pool:
 
         def begin(function: Callable, **arguments) -> Beside:
-            job = Job(function.__name__, _name(function), arguments)
+            name = f"{function.__module__}:{function.__name__}"
+            job = Job(function.__name__, name, arguments)
             return Beside(pool, job)
 
         yield begin
-
-
-def _name(function: Callable) -> str:
-    """As a process imports it; a script goes by another name."""
-    module = function.__module__
-    if module == "__main__":
-        main = sys.modules[module]
-        spec = getattr(main, "__spec__", None)
-        module = Path(main.__file__).stem if spec is None else spec.name
-    return f"{module}:{function.__name__}"
 
 
 _CONNECT_SECONDS = 60.0  # a scheduler that starts again has that long

@@ -4,17 +4,21 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import example_jobs
 import pytest
 
 from drake_exo.errors import InputError
-from drake_exo.jobs.engine import run_calls, second_process
+from drake_exo.jobs.engine import second_process
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+from calls import run_calls
 
 pytestmark = pytest.mark.slow
 
 SCRIPT = """
-from drake_exo.jobs.engine import run_calls
+from calls import run_calls
 
 def square(x):
     return x * x
