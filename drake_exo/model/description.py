@@ -356,11 +356,11 @@ def human_sdf(human: HumanParameters, person: Person | None = None) -> str:
         if name == "foot":
             x = segment.length_m / reference.length_m
             z = human.ankle_height_m / nominal.ankle_height_m
-            stretch = _Stretch((x, x, z), (x, width, z))
+            size, place = (x, x, z), (x, width, z)
         else:
             z = segment.length_m / reference.length_m
-            stretch = _Stretch((width, width, z), (width, width, z))
-        _rewrite_link(model, name, segment, stretch)
+            size = place = (width, width, z)
+        _rewrite_link(model, name, segment, size, place)
     _set_frame(model, "knee_centre", (0.0, human.shank.length_m))
     _set_frame(model, "hip_centre", (0.0, human.thigh.length_m))
     _set_frame(model, "vertex", (0.0, human.pelvis.length_m))
@@ -386,8 +386,8 @@ def exoskeleton_sdf(
         if name == "foot":
             x = z
             z = _sole_depth(exoskeleton) / _sole_depth(nominal)
-        stretch = _Stretch((x, width, z), (x, width, z))
-        _rewrite_link(model, f"exo_{name}", segment, stretch)
+        by = (x, width, z)
+        _rewrite_link(model, f"exo_{name}", segment, by, by)
         if name in _CUFF_VISUALS:
             usual = np.array(nominal.cuff_m(name)) * (x, z)
             moved = np.array(exoskeleton.cuff_m(name)) - usual
@@ -454,14 +454,6 @@ def _sole_depth(exoskeleton: ExoskeletonParameters) -> float:
     return max(-exoskeleton.heel_m[1], 0.01)
 
 
-@dataclass(frozen=True)
-class _Stretch:
-    """Factors along a link's x, y, z of the sizes and places of visuals."""
-
-    size: tuple[float, float, float]
-    place: tuple[float, float, float]
-
-
 def _read(name: str) -> ET.Element:
     return ET.parse(models_path() / name).getroot()
 
@@ -519,26 +511,27 @@ def _segment(
 
 
 def _rewrite_link(
-    model: ET.Element, name: str, segment: SegmentParameters, stretch: _Stretch
+    model: ET.Element, name: str, segment: SegmentParameters, size, place
 ) -> None:
+    """A link's inertia, its visuals' sizes and places times factors (3,)."""
     link = _link(model, name)
     _set_inertial(_child(link, "inertial"), segment)
     for visual in link.findall("visual"):
-        _stretch_visual(visual, stretch)
+        _stretch_visual(visual, size, place)
     for frame in model.findall(f"model/frame[@attached_to='{name}']"):
         pose = _pose(frame)
-        pose[:3] *= stretch.place
+        pose[:3] *= place
         _set_pose(frame, pose)
 
 
-def _stretch_visual(visual: ET.Element, stretch: _Stretch) -> None:
+def _stretch_visual(visual: ET.Element, size, place) -> None:
     pose = _pose(visual)
     # A turned shape has its own axes; each grows by the stretch along it.
     # SDF's roll, pitch, yaw turn about fixed x, y, z.
     turn = Rotation.from_euler("xyz", pose[3:]).as_matrix()
-    axes = np.asarray(stretch.size)[:, None] * turn
+    axes = np.asarray(size)[:, None] * turn
     fx, fy, fz = np.linalg.norm(axes, axis=0)
-    pose[:3] *= stretch.place
+    pose[:3] *= place
     _set_pose(visual, pose)
     shape = _child(visual, "geometry")[0]
     factors = {
