@@ -276,7 +276,7 @@ class _Wearing(PhaseProblem):
                     [
                         torques[:, [i]],
                         movement.grid.q[:, names.device_columns],
-                        np.broadcast_to(factors, (len(torques), len(own))),
+                        movement.at_nodes(factors),
                     ]
                 ),
                 given,
@@ -296,9 +296,7 @@ class _Wearing(PhaseProblem):
                 settings.shear_weight,
             )
             felt = force[used][:, [TANGENTIAL, NORMAL]]
-            area = np.broadcast_to(
-                self._of_cuff(cuff, ["area"]), (len(felt), 1)
-            )
+            area = movement.at_nodes(self._of_cuff(cuff, ["area"]))[used]
             self.program.add_residuals(
                 f"{movement.name} {cuff} force",
                 kernel,
@@ -378,13 +376,11 @@ class _Wearing(PhaseProblem):
                     np.full(n, wanted),
                     np.concatenate([slid.ravel(), beyond]),
                 ).evaluator().set_description(f"{name} beyond its limit")
-        places = self.places(cuff)
+        places = movement.at_nodes(self.places(cuff))
         self.program.add_constraints(
             name,
             MigrationKernel(self.bushings[cuff]),
-            np.hstack(
-                [grid.q, np.broadcast_to(places, (n, len(places))), slid]
-            ),
+            np.hstack([grid.q, places, slid]),
         )
 
     def _migration_beyond(self, cuff: str, most: float) -> np.ndarray:
@@ -428,7 +424,7 @@ class _Wearing(PhaseProblem):
             today = self._today.largest_forces[cuff][NORMAL]
             most = np.maximum(most, 1e-3 * today / area_m2)
         movement.bound(pressed.ravel(), -most, most)
-        area = np.broadcast_to(self._of_cuff(cuff, ["area"]), (n, 1))
+        area = movement.at_nodes(self._of_cuff(cuff, ["area"]))
         self.program.add_constraints(
             name,
             PressureKernel(area_m2),

@@ -450,14 +450,7 @@ class PhaseProblem(Compiles, ABC):
             self.program.add_residuals(
                 f"{movement.name} energy {cuff}",
                 EnergyKernel(self.bushings[cuff], chosen, sigma),
-                np.hstack(
-                    [
-                        grid.q,
-                        np.broadcast_to(
-                            parameters, (len(grid.q), len(parameters))
-                        ),
-                    ]
-                )[used],
+                np.hstack([grid.q, movement.at_nodes(parameters)])[used],
                 np.sqrt(grid.quadrature[used])[:, None],
             )
 

@@ -19,6 +19,7 @@ from scipy.ndimage import gaussian_filter1d
 from drake_exo.collocation.kernels import FootGroundKernel
 from drake_exo.contact.hunt_crossley import contact_arm, sphere_force
 from drake_exo.contact.parameters import SPHERE_PARAMETERS
+from drake_exo.files.tables import runs
 from drake_exo.measurement.filters import minimum_jerk
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
@@ -145,7 +146,8 @@ def _height(law, spheres, loads, depths):
     """Mean height (n,) of the contact points, weighted by load [m]."""
     r = spheres[:, _RADIUS]
     points = r - depths - contact_arm(law, depths, r)
-    return np.sum(loads * points, axis=1) / np.sum(loads, axis=1)
+    total = np.maximum(loads.sum(axis=1), 1e-9)
+    return np.sum(loads * points, axis=1) / total
 
 
 def _together(kernel, spheres, q, loads):
@@ -321,7 +323,7 @@ def settle_rolling(
     lowest = (q[:, 1, None] + below - spheres[:, _RADIUS]).min(axis=1)
     q[~loaded, 1] += np.maximum(_CLEAR_M - lowest[~loaded], 0.0)
     v = np.gradient(q, times, axis=0)
-    for start, end in _runs(loaded):
+    for start, end in runs(loaded):
         _creep(kernel, spheres, places, times, q, v, ground, slice(start, end))
     q[:, 0] = foot[:, 0] + _bridged(q[:, 0] - foot[:, 0], loaded, times)
     v[~loaded] = np.gradient(q, times, axis=0)[~loaded]
@@ -367,10 +369,7 @@ def _creep(kernel, spheres, places, times, q, v, ground, rows) -> None:
     _, up = _reach(places[rows], q[rows, 2])
     depths = spheres[:, _RADIUS] - up - q[rows, 1, None]
     force = static_force(kernel, spheres, depths)
-    total = np.maximum(force.sum(axis=1), 1e-9)
-    radius = spheres[:, _RADIUS]
-    points = radius - depths - contact_arm(kernel.law, depths, radius)
-    height = np.sum(force * points, axis=1) / total
+    height = _height(kernel.law, spheres, force, depths)
     slip = slip_velocity(kernel, spheres, force, ground[rows, 0])
     v[rows, 0] = slip - (q[rows, 1] - height) * v[rows, 2]
     t = times[rows]
@@ -393,8 +392,3 @@ def _bridged(off, loaded, times):
     nearest = np.where(nearer, known[after], known[before])
     far = (times - times[nearest]) / _FADE_S
     return np.where(loaded, off, off[nearest] * np.exp(-(far**2)))
-
-
-def _runs(mask) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(int), 0]))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -125,7 +125,7 @@ class TrialProgram:
             kinematics, places = zip(*bushings.values(), strict=True)
             kernel = coupled(tree, list(kinematics), bodies)
             forces = self.new("interaction", units)
-            inputs += [forces, self._at_nodes(np.concatenate(places))]
+            inputs += [forces, self.at_nodes(np.concatenate(places))]
             parts = np.split(forces, len(bushings), axis=1)
             self.cuffs = dict(zip(bushings, parts, strict=True))
         else:
@@ -170,7 +170,7 @@ class TrialProgram:
                 prog.SetVariableScaling(variable, unit)
         return variables
 
-    def _at_nodes(self, variables: np.ndarray) -> np.ndarray:
+    def at_nodes(self, variables: np.ndarray) -> np.ndarray:
         """The same variables (m,) at every node, (n, m)."""
         return np.broadcast_to(
             variables, (len(self.grid.times), len(variables))
@@ -216,7 +216,7 @@ class TrialProgram:
             parameters: its decision variables, in the kernel's order.
         """
         variables = np.hstack(
-            [self.poses[body], self.grounds[body], self._at_nodes(parameters)]
+            [self.poses[body], self.grounds[body], self.at_nodes(parameters)]
         )
         where = "" if len(self.grounds) == 1 else f" {body}"
         self.program.add_constraints(
@@ -236,7 +236,7 @@ class TrialProgram:
         self.program.add_constraints(
             f"{self.name} bushing {cuff}",
             kernel,
-            np.hstack([*variables, self._at_nodes(parameters)]),
+            np.hstack([*variables, self.at_nodes(parameters)]),
         )
 
     def foot(self, side: str) -> np.ndarray:
@@ -276,7 +276,7 @@ class TrialProgram:
         variables = np.hstack([t.variables for t in terms])
         shared = variables.shape[1]
         if errors is not None:
-            variables = np.hstack([variables, self._at_nodes(errors)])
+            variables = np.hstack([variables, self.at_nodes(errors)])
         n, m = variables.shape
         Q, b, c = np.zeros((n, m, m)), np.zeros((n, m)), np.zeros(n)
         first = 0

@@ -172,20 +172,10 @@ class ElasticProgram:
         self._lower = np.r_[problem.y_lower[columns], problem.g_lower[rows]]
         self._upper = np.r_[problem.y_upper[columns], problem.g_upper[rows]]
         self.num_springs = len(self._lower)
-        self.y_lower, self.y_upper = (
-            _with(bounds, columns, free)
-            for bounds, free in (
-                (problem.y_lower, -np.inf),
-                (problem.y_upper, np.inf),
-            )
-        )
-        self.g_lower, self.g_upper = (
-            _with(bounds, rows, free)
-            for bounds, free in (
-                (problem.g_lower, -np.inf),
-                (problem.g_upper, np.inf),
-            )
-        )
+        self.y_lower = _with(problem.y_lower, columns, -np.inf)
+        self.y_upper = _with(problem.y_upper, columns, np.inf)
+        self.g_lower = _with(problem.g_lower, rows, -np.inf)
+        self.g_upper = _with(problem.g_upper, rows, np.inf)
         self._lay_out_hessian()
 
     def _lay_out_hessian(self):

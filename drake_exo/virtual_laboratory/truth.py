@@ -25,7 +25,6 @@ from drake_exo.model.plant import Model, nominal_model
 from drake_exo.model.segments import (
     CONTACT_RADIUS_M,
     SEGMENTS,
-    ExoskeletonParameters,
     HumanParameters,
 )
 from drake_exo.virtual_laboratory.forces import Cuff, levelled
@@ -150,11 +149,6 @@ class Truth:
     def human(self) -> HumanParameters:
         """The subject."""
         return self.model.human
-
-    @property
-    def exoskeleton(self) -> ExoskeletonParameters:
-        """The device."""
-        return self.model.exoskeleton
 
 
 def draw_truth(
@@ -325,7 +319,7 @@ def write_parameters(folder: Path, truth: Truth, about: dict) -> None:
     """
     whole = {
         "human": truth.human,
-        "exoskeleton": truth.exoskeleton,
+        "exoskeleton": truth.model.exoskeleton,
         "contact": truth.contact,
         "cuffs": truth.cuffs,
         "friction": truth.friction,

@@ -222,7 +222,6 @@ def test_offsets_fade_from_the_nearest_loaded_sample():
         np.testing.assert_array_equal(
             initial_guess._bridged(off, every, times), off
         )
-    assert initial_guess._runs(loaded) == [(2, 4), (7, 8)]
 
 
 @pytest.mark.parametrize("force_x", [-30.0, 0.0, 45.0])
