@@ -1,20 +1,9 @@
 """The phases posed: contact calibrated (A, B), movements predicted (C).
 
-Serrancoli et al., II-C. Phase A: kinematics, ground reaction and centre of
-pressure are tracked, joint torques minimised; the spheres' parameters are
-shared by all trials; initial and final states are given; human and exoskeleton
-do not touch. Phase B: as Phase A, with the foot-ground contact fixed; the
-bushings' forces are further controls, tied to their law. Joint moments and the
-normal forces that mats measured are tracked, the contact energy of all other
-components is minimised.
-
-Phase C: only the initial and final states are given. C1 tracks ground
-reaction, centre of pressure and joint torques and minimises the contact energy
-of all components; C2 does so with the bushings' stiffness and damping scaled
-(`ContactModel.scaled`). The objective "comfort" tracks nothing: it minimises
-the interaction with bounded effort, for designs that were never measured. So
-does a periodic step of two legs: what ends with left and right exchanged as it
-began could go on for ever.
+Serrancoli et al., II-C; docs/method.md says what each tracks, minimises and
+holds. In Phase A human and exoskeleton do not touch. Where nothing was measured
+"comfort" tracks nothing in Phase C, nor does a periodic step of two legs: what
+ends with left and right exchanged as it began could go on for ever.
 """
 
 from collections.abc import Mapping, Sequence

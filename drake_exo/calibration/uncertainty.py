@@ -1,22 +1,11 @@
 """How sure parameters and predictions are: intervals and bands of 95 %.
 
-First-order propagation of the measurement noise through the conditions of the
-optimum (`nlp.sensitivity`). Noise has the standard deviations of the study
-file and the spectrum of its filter, so that it is correlated in time, and
-noise of velocities is the derivative of that of positions; given end states
-carry it too. The prior counts as one more measurement, of the nominal value.
-What tracks no measurement (energy, jerk) adds no noise but pulls parameters
-away from what the data say; the pull is reported beside.
-
-Which parameters the data determine at all is told after Van den Hof et al., as
-the paper uses it (II-C): singular values and vectors of the sensitivity of the
-predicted contact forces to the parameters.
-
-A prediction has bands around movement and forces: what a calibration left open
-(its posterior), what is not known of the trial's own measurement (ends, clocks,
-forces and moments that are tracked) and what bushings cannot express go through
-the conditions of the optimum (`nlp.sensitivity`), to first order, as
-independent parts of one size.
+To first order, as independent parts of one size, through the conditions of the
+optimum (`nlp.sensitivity`); docs/method.md says what counts. Noise has the
+spectrum of the study's filter, that of velocities is the derivative of that of
+positions. The prior is one more measurement, of the nominal value. What tracks
+none (energy, jerk) adds no noise but pulls parameters away from what the data
+say. Which of them the data determine is told after Van den Hof et al. (II-C).
 """
 
 from __future__ import annotations
