@@ -496,16 +496,8 @@ def add_device(
         if link not in links:
             raise missing_link(device, link, links)
     # Everything welded is one with the person.
-    group = {link: link for link in links}
-
-    def of(name):
-        while group[name] != name:
-            name = group[name]
-        return name
-
-    first = next(iter(device.weld))
-    for link in device.weld:
-        group[of(link)] = of(first)
+    first, *others = device.weld
+    edges = [(first, link) for link in others]
     for index in plant.GetJointIndices(instance):
         joint = plant.get_joint(index)
         ends = [joint.parent_body().name(), joint.child_body().name()]
@@ -514,15 +506,15 @@ def add_device(
                 f"{device.name}: joint {joint.name()!r} holds the device to "
                 "the world; take it out, weld places the device"
             )
-        a, b = map(of, ends)
-        if a == b:
+        if any(part.issuperset(ends) for part in connected(links, edges)):
             raise InputError(
                 f"{device.name}: joint {joint.name()!r} closes a loop; weld "
                 "one link fewer, or take the joint out"
             )
-        group[a] = b
+        edges.append(ends)
+    (held,) = (part for part in connected(links, edges) if first in part)
     for link in links:
-        if of(link) != of(first):
+        if link not in held:
             raise InputError(
                 f"{device.name}: link {link!r} is attached to nothing; weld "
                 "it to a segment of the person, or give it a joint"
