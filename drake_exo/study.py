@@ -110,7 +110,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StudyFile(RecordingSettings):
-    """A study file; see the attributes' own classes."""
+    """The groups of a study file."""
 
     foot_ground: FootGroundSettings = field(default_factory=FootGroundSettings)
     interaction: InteractionSettings = field(

@@ -211,7 +211,7 @@ class EndTolerance:
 
 @dataclass(frozen=True)
 class PredictionEnds(EndTolerance):
-    """As EndTolerance; with free velocities the feet may throw the body up.
+    """Of the foot at both ends; with free velocities it may throw the body up.
 
     >>> PredictionEnds().velocity_m_s
     0.05

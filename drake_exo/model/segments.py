@@ -169,12 +169,12 @@ SegmentOverrides = _overrides(
 HumanOverrides = _overrides(
     "HumanOverrides",
     HumanParameters,
-    "Values of `HumanParameters` that replace scaled ones.",
+    "Values of the person that replace scaled ones.",
 )
 ExoskeletonOverrides = _overrides(
     "ExoskeletonOverrides",
     ExoskeletonParameters,
-    "Values of `ExoskeletonParameters` that replace fitted ones.",
+    "Values of the exoskeleton that replace fitted ones.",
 )
 
 _T = TypeVar("_T", SegmentParameters, HumanParameters, ExoskeletonParameters)
