@@ -166,8 +166,8 @@ class TrackingNoise:
             without competing with what was measured.
         jerk: typical jerk [rad/s^3 or m/s^3], likewise; much larger, and
             the motion wiggles between the nodes, or a device swings on its
-            cuffs. Left out: that of the joints in the trials that calibrate,
-            half of it in Phase C.
+            cuffs. Left out: three times the RMS of the person's joints in the
+            trials that calibrate, half of it in Phase C.
 
     >>> FootGroundSettings(noise=TrackingNoise(force_n=3.0)).noise.cop_m
     0.001
