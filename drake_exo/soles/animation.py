@@ -31,7 +31,7 @@ with warnings.catch_warnings():  # its server uses a deprecated part of zmq
     from meshcat.path import Path as ScenePath
 
 _MAX_FRAMES = 110
-_MAP = "turbo"
+_MAP = "viridis"
 _METRES_PER_NEWTON = 2e-4
 _GRID_M, _FINE_M = 0.05, 0.01  # between lines; where ground is not flat
 _AGAIN = "run the command that wrote it again"
@@ -202,7 +202,7 @@ def _page(title: str, top: float, box: _Box) -> Page:
     target = middle + np.array([0.0, 0.42 * box.mirror[1, 3], 0.03])
     colours = colormaps[_MAP](np.linspace(0.0, 1.0, 256))[:, :3]
     stops = ", ".join(
-        "rgb({:.0f},{:.0f},{:.0f})".format(*(255 * c)) for c in colours[::32]
+        "rgb({:.0f},{:.0f},{:.0f})".format(*(255 * c)) for c in colours[::15]
     )
     legend = (
         '<div class="player-scale" style="background:linear-gradient('

@@ -1,6 +1,7 @@
 """The scene and the clips of a sole's page, by their numbers."""
 
 import html
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -109,14 +110,14 @@ def test_sole_and_mirror_are_in_the_picture(motion):
     # An arrow of 0.1 m is 500 N.
     assert "0.1 m is 500 N" in page.legend[0]
     assert 500 * page.arrows[0].metres_per_newton == pytest.approx(0.1)
-    # From dark blue to dark red, in eight steps of the same colours.
-    first, last = page.colours[0], page.colours[-1]
+    # From dark to light; the scale, evenly from its first stop to its last.
     assert page.colours.shape == (256, 3)
-    assert first[0] < 0.25 and first[2] > 0.2
-    assert last[0] > 0.4 and last[1] < 0.1 and last[2] < 0.1
-    for k in range(8):
-        r, g, b = np.rint(255 * page.colours[32 * k])
-        assert f"rgb({r:.0f},{g:.0f},{b:.0f})" in page.legend[0]
+    assert (np.diff(page.colours @ [0.3, 0.6, 0.1]) > 0).all()
+    stops = re.findall(r"rgb\((\d+),(\d+),(\d+)\)", page.legend[0])
+    at = np.linspace(0, 255, len(stops))
+    assert len(stops) > 6 and (at == np.rint(at)).all()
+    wanted = np.rint(255 * page.colours[at.astype(int)])
+    np.testing.assert_array_equal(np.array(stops, int), wanted)
 
 
 def _of(ground, box):
