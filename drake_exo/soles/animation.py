@@ -222,7 +222,7 @@ def _page(title: str, top: float, box: _Box) -> Page:
         arrows=(force,),
         switches={
             "force": ("/arrows",),
-            "ZMP": ("/zmp",),
+            "ZMP": ("/zmp/ball",),
             "undeformed": ("/undeformed",),
             "underside": ("/underside",),
         },

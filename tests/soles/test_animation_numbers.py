@@ -120,6 +120,15 @@ def test_sole_and_mirror_are_in_the_picture(motion):
     np.testing.assert_array_equal(np.array(stops, int), wanted)
 
 
+def test_boxes_hide_what_a_clip_does_not_show_again(motion):
+    """Its bodies are shown anew at every instant."""
+    box = _Box.of([motion])
+    page = animation._page("title", 1.0, box)
+    clip = animation._clip(0, motion, np.zeros((3, 1)), box)
+    switched = {path for paths in page.switches.values() for path in paths}
+    assert not switched & {*clip.bodies, *clip.surfaces}
+
+
 def _of(ground, box):
     """Slab and lines of the stage: corners (n, 3), faces, ends (l, 2, 3)."""
     slab, grid, *_ = animation._stage(box, ground)
