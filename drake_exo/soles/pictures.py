@@ -286,7 +286,7 @@ def pressure_figure(
     pressure: np.ndarray,
     converged: np.ndarray,
 ) -> Figure | None:
-    """Contact pressure from below at up to eight samples of the step.
+    """Contact pressure under the sole at up to eight samples of the step.
 
     At times (N,) [s], of ZMPs in the sole's frame [m], (N, 2), and pressures at
     the contact nodes [Pa], (N, m), at samples that converged (N,); None if
