@@ -246,9 +246,9 @@ def check_has_cuffs(model: Model) -> None:
     """Raises InputError if there is nothing to interact with."""
     if not model.cuffs:
         raise InputError(
-            f"the study's model is '{model.name}': there is no exoskeleton "
-            "to interact with; use 'model: coupled', or calibrate "
-            "the foot-ground phase alone"
+            "the study's model has no exoskeleton with cuffs; say "
+            "'model: coupled' or describe one, or calibrate the foot-ground "
+            "phase alone"
         )
 
 

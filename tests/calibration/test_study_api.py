@@ -201,7 +201,7 @@ def test_stiffer_cuffs_predict_another_interaction(found, study, cuffs):
 
 def test_without_a_device_there_is_no_interaction():
     model, trials = synthetic.rises_on_spheres(1, nodes_per_second=40.0)
-    with pytest.raises(dx.InputError, match="no exoskeleton"):
+    with pytest.raises(dx.InputError, match="model has no exoskeleton with"):
         dx.calibrate_interaction(dx.Study(model, trials))
 
 
