@@ -209,17 +209,15 @@
       const values = found && row(found, 6, k, s);
       drawArrow(arrow,
         values && !values.some(Number.isNaN) ? values : null);
+      const cell = $(`player-value-${arrow.name}`);
+      if (cell) cell.textContent =
+        Number.isNaN(arrow.size) ? "–" : `${arrow.size.toFixed(0)} N`;
     }
     for (const surface of Object.values(clip.surfaces))
       drawSurface(surface, k, s);
     $("player-slider").value = time;
     $("player-time").textContent =
       `${time.toFixed(2)} / ${times[times.length - 1].toFixed(2)} s`;
-    for (const arrow of page.arrows) {
-      const cell = $(`player-value-${arrow.name}`);
-      if (cell) cell.textContent =
-        Number.isNaN(arrow.size) ? "–" : `${arrow.size.toFixed(0)} N`;
-    }
     viewer.set_dirty();
   };
 
@@ -312,7 +310,9 @@
     document.addEventListener("keydown", (e) => {
       if (e.target.tagName === "SELECT") return;
       const step = { ArrowLeft: -0.02, ArrowRight: 0.02 }[e.key];
-      if (e.key === " ") play(!state.playing);
+      // Of buttons and boxes space is their own.
+      if (e.key === " " && !e.target.matches("button, [type=checkbox]"))
+        play(!state.playing);
       else if (step) {
         play(false);
         const end = Number($("player-slider").max);
