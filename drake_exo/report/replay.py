@@ -120,9 +120,10 @@ class DrawnModel:
             self._bushings[name].preload,
         )
         zero = 0.0 * wrench.force_x
+        across = zero + _ACROSS_M.get(human.rpartition("_")[2], 0.0)
         return np.column_stack(
             [
-                *(wrench.point_x, zero, wrench.point_z),
+                *(wrench.point_x, across, wrench.point_z),
                 *(wrench.force_x, zero, wrench.force_z),
             ]
         )
@@ -413,10 +414,8 @@ def _spheres(trial: Replayed) -> Iterator[tuple]:
     """Path, segment, sphere and places across [m] of each contact sphere."""
     soles = trial.drawn.soles
     for body, names in soles.items():
-        left, right = body.endswith("_left"), body.endswith("_right")
-        places = [
-            y for y in _FEET_Y_M if not (left or right) or (y > 0.0) == left
-        ]
+        own = _ACROSS_M.get(body.rpartition("_")[2])
+        places = list(_FEET_Y_M) if own is None else [own]
         for name in names:
             path = f"{_SPHERES}/{name}"
             path += f"_{body}" if len(soles) > 1 else ""

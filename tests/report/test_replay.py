@@ -16,11 +16,13 @@ from drake_exo.contact.diagram import build_diagram
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.contact.strap import TODAY, CuffDesign, Design, write_design
 from drake_exo.errors import InputError
+from drake_exo.files import schema
 from drake_exo.files.output import Check, read_json, write_json
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.assembly import Assembly, Person
-from drake_exo.model.description import nominal_human
+from drake_exo.model.description import models_path, nominal_human
+from drake_exo.model.device_file import with_text
 from drake_exo.model.plant import Model, nominal_model
 from drake_exo.report import replay
 from drake_exo.report.gathering import gather
@@ -167,6 +169,22 @@ def test_cuffs_act_where_and_as_the_diagram_says():
         moment = force.F_Bq_W.rotational() + np.cross(at, F)
         couple = part[2] * np.array([0, -1.0, 0])
         np.testing.assert_allclose(np.cross(arm, F) + couple, moment, atol=1e-9)
+
+
+def test_of_two_legs_cuffs_push_on_their_own():
+    text = "human: {legs: two}\n"
+    text += "device: {file: hip_only.urdf, weld: {belt: pelvis}}\n"
+    text += "cuffs: {strap: {human: thigh_right, device: bar}}\n"
+    assembly = with_text(schema.load_text(text, Assembly), models_path())
+    model = Model(assembly, nominal_human())
+    q = np.zeros((1, len(model.coordinates)))
+    motion = Trial(
+        *("still", model.coordinates, np.zeros(1), q, q, q),
+        PlanarWrench.of(np.zeros((1, 3))),
+        cuffs={"strap": CuffForce.of(np.array([[0.0, 9.0, 0.0]]))},
+    )
+    arrow = DrawnModel(model, nominal_contact(model)).arrows(motion)["strap"]
+    np.testing.assert_allclose(arrow[0, [1, 3, 4]], [-0.1, 9.0, 0.0])
 
 
 def test_measured_mat_shows_the_normal_force(clip):
