@@ -20,7 +20,7 @@ from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
 from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.elasticity import MATERIALS, Sole
-from drake_exo.soles.load_blocks import LoadBlock, Pattern
+from drake_exo.soles.load_blocks import LoadBlock
 from drake_exo.soles.mesh import SphericalSpline, brick
 from drake_exo.soles.optimize.adjoint import gradients, singular_terms
 from drake_exo.soles.optimize.limits import StrainNorm
@@ -28,6 +28,7 @@ from drake_exo.soles.optimize.optimizer import minimise
 from drake_exo.soles.optimize.search import first_design, stage_problem
 from drake_exo.soles.settings import Setup, Stage
 from drake_exo.soles.simulation import heel_strike_count, simulate
+from drake_exo.soles.walking_pattern import Robot
 
 START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 MESHES = {"600 nodes": (14, 7, 4), "7000 tets": (20, 12, 5)}
@@ -132,7 +133,7 @@ def gradient(load, full):
 def optimisation(load):
     """Case 1-Ref with all limits: ten iterations on two meshes."""
     out = {}
-    settings = five_cases(LoadBlock(pattern=Pattern()), coarse=True)[0]
+    settings = five_cases(LoadBlock(pattern=Robot()), coarse=True)[0]
     setup = replace(Setup.open(settings), load=load)
     bounds = tuple(settings.optimize.bounds)
     for stage in (Stage((10, 6, 3), 24, 3e-4, 0.2, 10),

@@ -34,7 +34,7 @@ from drake_exo.jobs.engine import (
 )
 from drake_exo.soles import finite_strain
 from drake_exo.soles.case import Case
-from drake_exo.soles.load_blocks import LoadBlock, OneFoot, Pattern
+from drake_exo.soles.load_blocks import LoadBlock, OneFoot
 from drake_exo.soles.loads import read_columns
 from drake_exo.soles.mesh import read_mesh
 from drake_exo.soles.optimize.files import SUMMARY, StoredDesign, read_summary
@@ -52,6 +52,7 @@ from drake_exo.soles.settings import (
     Stage,
     StartBlock,
 )
+from drake_exo.soles.walking_pattern import Robot
 
 SIZE = (0.23, 0.13, 0.03)
 AUTHORS_STEP = "soft_sole_hrp4/trajectory/one_foot_80kg_200Hz.txt"
@@ -91,7 +92,7 @@ def step_block(root: Path | None) -> LoadBlock:
         check_data_root(root)
         if (root / AUTHORS_STEP).is_file():
             return LoadBlock(one_foot=OneFoot(AUTHORS_STEP, AUTHORS_ORIGIN))
-    return LoadBlock(pattern=Pattern())
+    return LoadBlock(pattern=Robot())
 
 
 def five_cases(load: LoadBlock, coarse: bool) -> list[Settings]:

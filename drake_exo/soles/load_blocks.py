@@ -14,7 +14,6 @@ from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
 from drake_exo.files.schema import (
     exactly_one,
-    not_negative,
     positive,
     quantity,
 )
@@ -28,7 +27,7 @@ from drake_exo.soles.loads import (
     text_lines,
 )
 from drake_exo.soles.numerics import without_yaw
-from drake_exo.soles.walking_pattern import Gait, Robot, plan
+from drake_exo.soles.walking_pattern import Robot
 
 Vector3 = tuple[float, float, float]
 Vector2 = tuple[float, float]
@@ -303,31 +302,6 @@ class Constant:
         )
 
 
-@dataclass(frozen=True)
-class Pattern(Robot):
-    """Own walking pattern; the defaults are the authors' 80 kg robot's."""
-
-    period_s: float = quantity("s", 0.005, minimum=1e-4)
-    first_s: float = not_negative("s", 0.0)
-    least_share: float = quantity(None, 0.13, above=0.0, below=1.0)
-    free: tuple[
-        Literal["step_length", "step_time", "double_support", "zmp"], ...
-    ] = ()
-
-    def gait(self, friction: float) -> Gait:
-        """The walk, and what of it may change."""
-        return Gait(
-            self, self.free, friction, self.period_s, self.least_share,
-            self.first_s,
-        )  # fmt: skip
-
-    def load(self, root: Path | None = None) -> Load:
-        """Plan the step; the right foot's load."""
-        return plan(self).foot_load(
-            self.period_s, self.least_share, start=self.first_s
-        )
-
-
 # Reads a step, a `measurement.steps.RecordedStep`, seen from the foot: of the
 # study's path, trial, foot, start, end, number, force [N].
 StepReader = Callable
@@ -347,7 +321,7 @@ class LoadBlock:
     `recording` is a study file; the keys behind it say which of its steps.
     """
 
-    pattern: Pattern | None = None
+    pattern: Robot | None = None
     one_foot: OneFoot | None = None
     csv: Csv | None = None
     force_plate: ForcePlate | None = None

@@ -514,7 +514,7 @@ class Setup:
         pattern = self.settings.load and self.settings.load.pattern
         if not (pattern and pattern.free):
             return None
-        return pattern.gait(self.settings.contact.friction)
+        return Gait(pattern, self.settings.contact.friction)
 
     @property
     def name(self) -> str:

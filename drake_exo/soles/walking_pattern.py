@@ -7,6 +7,8 @@ foot is the right one; y is to the left; sole frame of the right foot.
 
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -29,7 +31,7 @@ _INSIDE = 0.015  # metres that the ZMP stays inside a sole's outline
 
 @dataclass(frozen=True)
 class Robot:
-    """A robot's walk; the defaults are the authors' 80 kg robot's.
+    """Own walking pattern; the defaults are the authors' 80 kg robot's.
 
     Attributes:
         step_length_m: Between consecutive footprints.
@@ -41,6 +43,11 @@ class Robot:
             that of the authors' robot.
         ankle_m: Place of the ankle in the sole frame.
         torque_weight: Factor w of the ankle torque in the energy.
+        period_s: Time between samples.
+        first_s: Time since landing from which they are counted.
+        least_share: Samples are left out below this part of the weight.
+        free: What of it a search may change; of zmp the path, drawn to a
+            place near the ankle by a weight.
     """
 
     mass_kg: float = quantity("kg", 80.0, minimum=0.5)
@@ -56,6 +63,12 @@ class Robot:
     ankle_m: tuple[float, float] = (-0.017, 0.011)
     torque_weight: float = not_negative("", 0.6)
     gravity_m_per_s2: float = positive("m/s²", 9.81)
+    period_s: float = quantity("s", 0.005, minimum=1e-4)
+    first_s: float = not_negative("s", 0.0)
+    least_share: float = quantity(None, 0.13, above=0.0, below=1.0)
+    free: tuple[
+        Literal["step_length", "step_time", "double_support", "zmp"], ...
+    ] = ()
 
     def __post_init__(self):
         if not 0 < self.double_support_s < self.step_time_s:
@@ -83,10 +96,11 @@ class Robot:
         both = zip(given, (-0.1, -0.05, 0.1, 0.05), strict=True)
         return np.reshape([b if a is None else a for a, b in both], (2, 2))
 
-    def bearing(self, least: float) -> tuple[float, float]:
-        """From when to when a foot bears a part of the weight [s]."""
+    @property
+    def bearing(self) -> tuple[float, float]:
+        """From when to when a foot bears `least_share` [s]."""
         begin = self.double_support_s * brentq(
-            lambda s: smooth_share(s) - least, 0.0, 1.0
+            lambda s: smooth_share(s) - self.least_share, 0.0, 1.0
         )
         return begin, self.step_time_s + self.double_support_s - begin
 
@@ -105,6 +119,10 @@ class Robot:
             return self
         fit = dict(zip(_SIDES, _rectangle(places), strict=True))
         return replace(self, **{name: fit[name] for name in free})
+
+    def load(self, root: Path | None = None) -> Load:
+        """Plan the step; the right foot's load."""
+        return plan(self).foot_load()
 
 
 def _rectangle(places: np.ndarray) -> list[float]:
@@ -159,29 +177,20 @@ class Pattern:
             out[late] = _mirrored(out[late], self.robot)
         return out
 
-    def foot_load(
-        self,
-        period: float = 0.005,
-        least: float = 0.1,
-        like: Robot | None = None,
-        start: float = 0.0,
-    ) -> Load:
+    def foot_load(self, like: Robot | None = None) -> Load:
         """Force and ZMP of the right foot over its whole contact phase.
 
         Args:
-            period: Time between samples [s].
-            least: Leave samples out below this part of the weight.
             like: Whose number of samples is taken, spread over the time in
                 which this foot bears as much.
-            start: Time since landing from which they are counted [s].
         """
         robot, other = self.robot, like or self.robot
         T, D = robot.step_time_s, robot.double_support_s
-        first, last = other.bearing(least)
-        t = np.arange(start, last + 1e-9, period)
+        first, last = other.bearing
+        t = np.arange(robot.first_s, last + 1e-9, robot.period_s)
         t = t[t >= first]
         if like is not None:
-            begin, end = robot.bearing(least)
+            begin, end = robot.bearing
             t = begin + (t - first) * (end - begin) / (last - first)
         z, acceleration = self.at(self.zmp, t), self.at(self.com, t, 2)
         share = smooth_share(t / D) * (1 - smooth_share((t - T) / D))
@@ -376,27 +385,21 @@ class Gait:
 
     Attributes:
         robot: The case's own walk.
-        free: Of step_length, step_time, double_support; and zmp, whose path
-            is drawn to a place near the ankle by a weight.
         friction: Of the contact.
-        period, least, first: As `Pattern.foot_load`; its `start`.
     """
 
     robot: Robot
-    free: tuple[str, ...]
     friction: float
-    period: float
-    least: float
-    first: float = 0.0
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
         """Name -> lowest and highest value."""
-        own, by_zmp = self.numbers(self.robot), "zmp" in self.free
+        own, free = self.numbers(self.robot), self.robot.free
+        by_zmp = "zmp" in free
         found = {
             name: (low * own[name], high * own[name])
             for name, (_, low, high) in _REACH.items()
-            if name in self.free or (name == "torque_weight" and by_zmp)
+            if name in free or (name == "torque_weight" and by_zmp)
         }
         aims = _AIM.items() if by_zmp else ()
         return found | {n: (own[n] - by, own[n] + by) for n, by in aims}
@@ -462,7 +465,7 @@ class Gait:
         """Load; speed; |c̈|; the CoM's place off its path's middle in time."""
         pattern, t = plan(robot), np.linspace(0, robot.step_time_s, 41)
         return (
-            pattern.foot_load(self.period, self.least, self.robot, self.first),
+            pattern.foot_load(self.robot),
             robot.step_length_m / robot.step_time_s,
             np.linalg.norm(pattern.com(t, 2), axis=1),
             pattern.com(t)[:, 1] - robot.step_width_m / 2,

@@ -11,12 +11,13 @@ from drake_exo.files.output import Check, Verdict
 from drake_exo.jobs.engine import Ended, Job
 from drake_exo.papers import de_magistris as paper
 from drake_exo.soles import pictures
-from drake_exo.soles.load_blocks import LoadBlock, Pattern
+from drake_exo.soles.load_blocks import LoadBlock
+from drake_exo.soles.walking_pattern import Robot
 
 
 def test_the_authors_step_is_taken_where_it_is(tmp_path):
-    assert paper.step_block(None) == LoadBlock(pattern=Pattern())
-    assert paper.step_block(tmp_path) == LoadBlock(pattern=Pattern())
+    assert paper.step_block(None) == LoadBlock(pattern=Robot())
+    assert paper.step_block(tmp_path) == LoadBlock(pattern=Robot())
     path = tmp_path / paper.AUTHORS_STEP
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("")
@@ -25,7 +26,7 @@ def test_the_authors_step_is_taken_where_it_is(tmp_path):
 
 def test_the_five_cases_differ_in_one_thing_each():
     """Table 1: weight of rotation, rubber, straight step, bonded top."""
-    five = paper.five_cases(LoadBlock(pattern=Pattern()), coarse=False)
+    five = paper.five_cases(LoadBlock(pattern=Robot()), coarse=False)
     assert [case.name for case in five] == list(paper.TABLE_2)
     first = vars(five[0])
     for case, own in zip(
@@ -40,7 +41,7 @@ def test_the_five_cases_differ_in_one_thing_each():
     brick = five[0].mesh.brick
     assert brick.size_m == (0.23, 0.13, 0.03)  # of the paper
     assert brick.divisions == paper.STAGES[-1].divisions
-    coarse = paper.five_cases(LoadBlock(pattern=Pattern()), coarse=True)[0]
+    coarse = paper.five_cases(LoadBlock(pattern=Robot()), coarse=True)[0]
     assert coarse.mesh.brick.divisions == (10, 6, 3)
 
 

@@ -8,9 +8,8 @@ from undrawn import undrawn
 
 from drake_exo import cli
 from drake_exo.soles.case import EXAMPLE, Case
-from drake_exo.soles.load_blocks import Pattern
 from drake_exo.soles.optimize.search import stage_problem, start_design
-from drake_exo.soles.walking_pattern import plan, smooth_share
+from drake_exo.soles.walking_pattern import Gait, Robot, plan, smooth_share
 
 FREE = ("step_length", "step_time", "double_support", "zmp")
 _LOAD = EXAMPLE[EXAMPLE.index("load:") : EXAMPLE.index("optimize:")]
@@ -25,14 +24,14 @@ def _case(stage="{samples: 12, layer_m: 1.0e-4, kappa: 0.2, iterations: 4}"):
 
 @pytest.fixture(scope="module")
 def gait():
-    return Pattern(free=FREE).gait(0.8)
+    return Gait(Robot(free=FREE), 0.8)
 
 
 def test_the_case_s_own_walk_is_where_it_starts(gait):
     assert gait.numbers(gait.at(gait.start)) == pytest.approx(
         gait.numbers(gait.robot)
     )
-    own, again = Pattern().load(), gait.load(gait.start)
+    own, again = Robot().load(), gait.load(gait.start)
     np.testing.assert_allclose(again.force, own.force, atol=1e-6)
     np.testing.assert_allclose(again.zmp, own.zmp, atol=1e-9)
     assert kept(gait, gait.start) and not gait.limits(gait.start)["speed"]
@@ -51,7 +50,7 @@ def test_walks_to_begin_with_differ_and_keep_the_limits(gait):
         assert kept(gait, found[k])
         assert np.abs(found[k] - found[k - 1]).max() > 0.1
         np.testing.assert_array_equal(found[k], gait.walk(k))
-    slower = Pattern(free=("step_time",)).gait(1e-3)  # slips, however slow
+    slower = Gait(Robot(free=("step_time",)), 1e-3)  # slips, however slow
     np.testing.assert_array_equal(slower.walk(2), slower.start)
 
 
@@ -59,15 +58,17 @@ def test_samples_are_as_many_and_even_over_the_contact(gait):
     """It begins and ends with the same part of the weight."""
     x = gait.start + 0.2
     robot, load = gait.at(x), gait.load(x)
-    own = Pattern().load()
+    own = Robot().load()
     assert len(load.times) == len(own.times)
     apart = np.diff(load.times)
     np.testing.assert_allclose(apart, apart[0])
     assert apart[0] != pytest.approx(0.005, rel=0.05)
     D, step = robot.double_support_s, robot.step_time_s
-    begin, end = robot.bearing(gait.least)
-    assert smooth_share(begin / D) == pytest.approx(gait.least)
-    assert 1 - smooth_share((end - step) / D) == pytest.approx(gait.least)
+    begin, end = robot.bearing
+    assert smooth_share(begin / D) == pytest.approx(robot.least_share)
+    assert 1 - smooth_share((end - step) / D) == pytest.approx(
+        robot.least_share
+    )
     # The case's own first sample is up to a period later.
     assert 0 <= load.times[0] - begin <= apart[0]
     assert gait.limits(x)["contact"] == pytest.approx(
@@ -116,8 +117,8 @@ def test_a_walk_may_shake_the_body_little_more_than_the_own_one(gait):
 @pytest.mark.parametrize("back_m", [None, -0.07])
 def test_slopes_of_a_walk_agree_with_wider_differences(back_m):
     """Of force, ZMP and limits, by each variable; on bounds, too."""
-    block = Pattern(back_m=back_m, free=("step_time", "double_support"))
-    gait = block.gait(0.8)
+    robot = Robot(back_m=back_m, free=("step_time", "double_support"))
+    gait = Gait(robot, 0.8)
     x, h = gait.start + np.array([0.03, -0.02]), 3e-4
 
     def there(x):

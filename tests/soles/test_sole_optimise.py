@@ -15,13 +15,14 @@ from drake_exo.errors import InputError
 from drake_exo.papers.de_magistris import TABLE_2, five_cases, table
 from drake_exo.soles.case import Case
 from drake_exo.soles.contact.law import Ground
-from drake_exo.soles.load_blocks import LoadBlock, Pattern
+from drake_exo.soles.load_blocks import LoadBlock
 from drake_exo.soles.mesh import SphericalSpline, brick, read_mesh
 from drake_exo.soles.optimize.files import read_checkpoint
 from drake_exo.soles.optimize.optimizer import minimise
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.optimize.search import first_design, stage_problem
 from drake_exo.soles.settings import Settings
+from drake_exo.soles.walking_pattern import Robot
 
 pytestmark = pytest.mark.slow
 
@@ -259,14 +260,14 @@ def test_all_that_a_search_is_of_is_in_its_key(folder):
 
 
 def test_without_limits_stability_tilt_and_strain_are_free():
-    settings = five_cases(LoadBlock(pattern=Pattern()), coarse=True)[0]
+    settings = five_cases(LoadBlock(pattern=Robot()), coarse=True)[0]
     free = Case.open(settings).without_limits().settings.optimize
     assert (free.strain, free.tilt_deg, free.stability_n_per_m) == (None,) * 3
 
 
 def test_case_files_are_the_studys_cases():
     cases = Path(__file__).parents[1] / "cases"
-    for case in five_cases(LoadBlock(pattern=Pattern()), coarse=False):
+    for case in five_cases(LoadBlock(pattern=Robot()), coarse=False):
         name = f"sole_{case.name.lower().replace('-', '_')}.yaml"
         read = Settings.read(cases / name)
         assert read.optimize == case.optimize

@@ -12,10 +12,11 @@ from drake_exo.files.output import Check, Verdict
 from drake_exo.papers import de_magistris as paper
 from drake_exo.papers.de_magistris import TABLE_2, certainty_table, table
 from drake_exo.soles.case import Case
-from drake_exo.soles.load_blocks import LoadBlock, Pattern
+from drake_exo.soles.load_blocks import LoadBlock
 from drake_exo.soles.optimize import search
 from drake_exo.soles.optimize.files import find_designs, read_summary
 from drake_exo.soles.settings import Stage
+from drake_exo.soles.walking_pattern import Robot
 
 
 @pytest.mark.slow
@@ -122,7 +123,7 @@ def test_a_study_collects_its_fronts(tmp_path, monkeypatch):
         ]
 
     monkeypatch.setattr(paper, "pareto_front", points)
-    five = paper.five_cases(LoadBlock(pattern=Pattern()), coarse=True)
+    five = paper.five_cases(LoadBlock(pattern=Robot()), coarse=True)
     cases = [Case.open(settings) for settings in five[:3]]
     for case in cases[:2]:  # the third ended without
         (tmp_path / case.name).mkdir()

@@ -8,7 +8,6 @@ from scipy.optimize import minimize
 
 from drake_exo.errors import InputError
 from drake_exo.soles.load_blocks import OneFoot, Playback
-from drake_exo.soles.load_blocks import Pattern as PatternBlock
 from drake_exo.soles.walking_pattern import (
     Robot,
     _feet,
@@ -56,7 +55,7 @@ def test_zmp_is_twice_differentiable(pattern):
 
 
 def test_both_feet_carry_the_whole_load(pattern):
-    load = pattern.foot_load(period=0.005, least=1e-6)
+    load = plan(replace(ROBOT, least_share=1e-6)).foot_load()
     first = load.times[0]
     share = load.force[:, 2] / (80 * 9.81)
     middle = (load.times > 0.2) & (load.times < 1.0)
@@ -123,7 +122,7 @@ def test_where_a_foot_lands_and_lifts_off_is_limited(pattern):
 
 def test_horizontal_forces_move_the_body(pattern):
     """Newton, with accelerations by differences; the next step mirrored."""
-    load = pattern.foot_load(period=0.005, least=1e-6)
+    load = plan(replace(ROBOT, least_share=1e-6)).foot_load()
     h, T = 1e-4, 1.0
     t = load.times
     ahead = t > T
@@ -193,7 +192,7 @@ def test_each_foot_keeps_inside_its_bounds(pattern):
     t = np.linspace(0.195, 1.0, 200)
     z = pattern.zmp(t)
     assert (np.abs(z) <= [0.1 + 1e-6, 0.05 + 1e-6]).all()
-    load = pattern.foot_load(least=0.01)
+    load = plan(replace(ROBOT, least_share=0.01)).foot_load()
     assert (np.abs(load.zmp) <= [0.102, 0.052]).all()
 
 
@@ -254,7 +253,7 @@ def test_authors_step_is_met(data_root):
     path = data_root / "soft_sole_hrp4/trajectory/one_foot_80kg_200Hz.txt"
     origin = (1.274728354176543, -0.056000000000611)
     theirs = OneFoot(path, origin).load(data_root)
-    ours = PatternBlock(least_share=0.01).load()
+    ours = Robot(least_share=0.01).load()
     # The file starts as the foot lands, 5.81 s; rows before 5.86 are cut.
     t = theirs.times - 5.81
     zmp = np.stack(
@@ -278,7 +277,7 @@ def test_a_cycle_of_the_playback_is_met(data_root):
     landing, period = 1283, 0.005  # right foot's, one step is 240 rows
     robot = Robot(
         43.0, 0.781739, 0.0525, 0.2301, 1.2, 0.4, -0.098, 0.098, 0.05, -0.05,
-        ankle_m=(-0.015, 0.011),
+        ankle_m=(-0.015, 0.011), least_share=0.005,
     )  # fmt: skip
     pattern = plan(robot)
     # The total ZMP from landing to lift-off, in the right sole's frame.
@@ -290,7 +289,7 @@ def test_a_cycle_of_the_playback_is_met(data_root):
     # One foot's, as the double supports are shared in a simulation.
     block = Playback(path, "right", 2, 43.0, least_force_n=5.0)
     theirs = block.load(data_root)
-    ours = pattern.foot_load(least=0.005)
+    ours = pattern.foot_load()
     when = theirs.times - landing * period
     own = np.stack(
         [np.interp(when, ours.times, ours.zmp[:, k]) for k in range(2)], axis=1

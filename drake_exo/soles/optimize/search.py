@@ -296,7 +296,7 @@ def _beside_alone(setup: Setup, design: Design, search) -> Design:
         design, x = alone, gait.start
     robots = gait.robot, gait.at(x)
     before, after = map(gait.numbers, robots)
-    times = (robot.bearing(gait.least) for robot in robots)
+    times = (robot.bearing for robot in robots)
     spans = [end - begin for begin, end in times]
     limits = gait.limits(x).values()
     design.gait = {
@@ -309,7 +309,7 @@ def _beside_alone(setup: Setup, design: Design, search) -> Design:
     # The case that is written has the samples that the search had.
     walk = replace(
         robots[1],
-        period_s=gait.period * spans[1] / spans[0],
+        period_s=gait.robot.period_s * spans[1] / spans[0],
         first_s=float(design.setup.load.times[0]),
     )
     design.setup = _walking(design.setup, walk)
