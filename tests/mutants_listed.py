@@ -689,10 +689,10 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "self.curvature.update(p, *self.at(p), multipliers / factor)",
             "self.curvature.update(p, *self.at(p), multipliers)",
         ),
+        ("return False, finer, self", "return False, 0.0, self"),
     ],
     "drake_exo/soles/optimize/search.py": [
-        ("return -len(self.runs), *self", "return 0, *self"),
-        ("0.0 if outside else finer", "0.0"),
+        ("return -len(self.optima), *self", "return 0, *self"),
         ('_STRAIN_AIM * problem.limits["strain"]', 'problem.limits["strain"]'),
         ("step.c_rot / base.c_rot", "step.c_rot"),
         ("_AIM * floor * problem.first.c_rot", "_AIM * floor"),

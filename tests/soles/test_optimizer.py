@@ -303,7 +303,10 @@ def test_the_better_design_is_kept():
     ranks = [
         Optimum(None, 3.0, violation=v).rank for v in (0.0, good, bad, 0.5)
     ]
-    assert ranks == [(False, 3.0), (False, 3.0), (True, bad), (True, 0.5)]
+    assert ranks == [
+        (False, np.inf, 3.0), (False, np.inf, 3.0), (True, 0.0, bad),
+        (True, 0.0, 0.5),
+    ]  # fmt: skip
 
 
 def test_a_design_that_was_only_followed_gives_way_to_the_one_before():

@@ -261,7 +261,7 @@ def test_a_stage_goes_on_where_it_stands(case, monkeypatch):
     monkeypatch.setattr(search, "minimise", minimise)
     p = np.linspace(0.8, 1.0, n)
     at = Checkpoint(1, 4, p, p, np.ones(5), 1e-3, np.eye(n))
-    run = search._run_stage(setup, 1, at, "out", said.append)
+    best, new = search._run_stage(setup, 1, at, "out", said.append)
     assert (given["left"], given["tol"]) == (5, block.tolerance)
     np.testing.assert_array_equal(np.transpose(given["bounds"]), n * [BOUNDS])
     assert given["refining"] and tuple(block.bounds) == BOUNDS
@@ -271,17 +271,17 @@ def test_a_stage_goes_on_where_it_stands(case, monkeypatch):
     )
     assert given["warm"].barrier == 1e-3
     assert given["problem"].law.layer == 1e-4
-    assert [row[0] for row in run.optimum.trace] == [4, 5, 6, 7, 8]
-    assert run.optimum.trace[2][1:] == (-2.5, 0.25, 0.125)
-    assert run.optimum.stage == 1
+    assert [row[0] for row in best.trace] == [4, 5, 6, 7, 8]
+    assert best.trace[2][1:] == (-2.5, 0.25, 0.125)
+    assert best.stage == 1
     # Every third iteration is kept; in the end, the last stage to go on with.
     assert [(c.stage, c.iteration) for c in kept] == [(1, 7)]
-    assert (run.at.stage, run.at.iteration, run.at.barrier) == (1, 0, 1e-7)
-    np.testing.assert_array_equal(run.at.latest, p + 1)
+    assert (new.stage, new.iteration, new.barrier) == (1, 0, 1e-7)
+    np.testing.assert_array_equal(new.latest, p + 1)
     assert said[2].startswith("stage 2/2, iteration 6: c/|c0| -2.5000, viol")
     assert "violation 2.5e-01, error 1.2e-01" in said[2]
-    run = search._run_stage(setup, 0, Checkpoint(p=p, latest=p), None, str)
-    assert (run.at.stage, given["left"], given["refining"]) == (1, 5, False)
+    _, new = search._run_stage(setup, 0, Checkpoint(p=p, latest=p), None, str)
+    assert (new.stage, given["left"], given["refining"]) == (1, 5, False)
     assert given["warm"] is None
 
 
@@ -333,11 +333,9 @@ def test_what_cannot_be_simulated_scales_nothing(case, problem, monkeypatch):
 
 
 def _fake_run(number, p, cost, violation=0.0):
-    best = Optimum(p, cost, violation=violation)
+    best = Optimum(p, cost, violation=violation, seconds=10.0 + number)
     row = ({"cost": cost, "violation": violation},)
-    return search._Run(
-        best, 10.0 + number, Checkpoint(number, 0, p, starts=row)
-    )
+    return best, Checkpoint(number, 0, p, starts=row)
 
 
 def test_starts_are_compared_on_a_finer_mesh(case):
@@ -356,11 +354,11 @@ def test_starts_are_compared_on_a_finer_mesh(case):
     assert problem.cost(p) == again.cost(p) != problem.cost_on_finer(p)
     # Feasible first, then by that, one without behind the others.
     rows = [(2.0, 0.0, 1.1), (1.0, 0.0, 1.2), (0.5, 0.0, None), (0.1, 0.5, 0.1)]
-    runs = [
-        replace(_fake_run(1, "p", cost, violation), cost_finer=finer)
+    optima = [
+        Optimum("p", cost, violation=violation, cost_finer=finer)
         for cost, violation, finer in rows
     ]
-    assert sorted(runs[::-1], key=lambda run: run.rank) == runs
+    assert sorted(optima[::-1], key=lambda best: best.rank) == optima
 
 
 def test_a_mesh_too_large_for_a_finer_one_is_not_compared(case, monkeypatch):
@@ -376,10 +374,10 @@ def test_a_mesh_too_large_for_a_finer_one_is_not_compared(case, monkeypatch):
 def test_a_start_that_went_further_is_ahead():
     runs = [_fake_run(1, "q", 5.0), _fake_run(2, "q", 4.0)]
     none = search.Found([], None)
-    near = none.after(_fake_run(1, "p", 1.0))
-    lost = replace(none, start=2).after(runs[0])
-    far = replace(none, start=1).after(runs[0]).after(runs[1])
-    assert far.at is runs[1].at and far.seconds == 11.0 + 12.0
+    near = none.after(*_fake_run(1, "p", 1.0))
+    lost = replace(none, start=2).after(*runs[0])
+    far = replace(none, start=1).after(*runs[0]).after(*runs[1])
+    assert far.at is runs[1][1] and far.seconds == 11.0 + 12.0
     order = sorted([near, lost, far], key=lambda racer: racer.rank)
     assert [racer.start for racer in order] == [1, 0, 2]
 
@@ -399,9 +397,8 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
 
     def run_stage(setup, number, at, out, say):
         made.append((number, at.p, [row["cost"] for row in at.starts]))
-        run = _fake_run(number + 1, at.p + "'", 3.0)
-        run.at = replace(run.at, starts=at.starts)
-        return run
+        best, new = _fake_run(number + 1, at.p + "'", 3.0)
+        return best, replace(new, starts=at.starts)
 
     def scale(problem, at):
         problem.scaled = at.p
@@ -466,14 +463,15 @@ def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
         say("it goes")
         asked.append(at)
         assert problem.stage is setup.settings.optimize.stages[number]
-        run = _fake_run(number + 1, np.zeros(17), 2.0 - number, 0.5 * number)
-        run.at = replace(run.at, starts=at.starts)
-        return run
+        best, new = _fake_run(
+            number + 1, np.zeros(17), 2.0 - number, 0.5 * number
+        )
+        return best, replace(new, starts=at.starts)
 
     monkeypatch.setattr(search, "_run_stage", run_stage)
     stages = 2 * case.settings.optimize.stages
     setup = case.optimizing(stages=stages, starts=3)
-    run = search.from_start(setup, 2, 0, None, None, said.append)
+    _, at = search.from_start(setup, 2, 0, None, None, said.append)
     problem = stage_problem(case, case.settings.optimize.stages[0])
     bounds = tuple(case.settings.optimize.bounds)
     wanted = start_design(problem, bounds, 2)
@@ -481,14 +479,14 @@ def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
     np.testing.assert_array_equal(asked[0].latest, wanted)
     assert said == ["it goes", "stage 1/2, on a finer mesh"]
     row = {"stage": 1, "cost": 2.0, "violation": 0.0, "cost_finer": None}
-    assert run.at.starts == (row,)
-    again = search.from_start(setup, 2, 0, run.at, None, said.append)
-    assert (again.optimum.cost, again.optimum.violation) == (2.0, 0.0)
+    assert at.starts == (row,)
+    again, _ = search.from_start(setup, 2, 0, at, None, said.append)
+    assert (again.cost, again.violation) == (2.0, 0.0)
     assert len(asked) == 1 and again.seconds == 0.0
-    further = search.from_start(setup, 2, 1, run.at, None, said.append)
-    assert asked[1] is run.at
+    _, further = search.from_start(setup, 2, 1, at, None, said.append)
+    assert asked[1] is at
     row = row | {"stage": 2, "cost": 1.0, "violation": 0.5}
-    assert further.at.starts == (*run.at.starts, row)
+    assert further.starts == (*at.starts, row)
     # Outside of its limits it is not compared by its cost.
     assert said[2:] == ["it goes"]
 
@@ -579,8 +577,7 @@ def test_walks_are_compared_before_they_move(monkeypatch):
     monkeypatch.setattr(search, "strain_scale", lambda *_: 1.0)
     at = None
     for number in range(2):
-        run = search.from_start(setup, 3, number, at, None, str)
-        at = run.at
+        _, at = search.from_start(setup, 3, number, at, None, str)
     (p, held), (again, free) = given
     np.testing.assert_allclose(p[-1:], setup.gait.walk(3))
     np.testing.assert_allclose(held[:, -1], p[[-1, -1]])

@@ -128,6 +128,8 @@ class Optimum:
         trace: Rows (iteration, cost, violation, dual infeasibility).
         former: Those that were the best before.
         stage: Of a search, from 0.
+        seconds: What it took there.
+        cost_finer: Of one of several starts, its cost on a finer mesh.
     """
 
     p: np.ndarray
@@ -144,6 +146,8 @@ class Optimum:
     trace: list = field(default_factory=list)
     former: list = field(default_factory=list)
     stage: int = 0
+    seconds: float = 0.0
+    cost_finer: float | None = None
 
     def consider(self, p: np.ndarray, cost: float, violation: float) -> None:
         """Keep the better of this design and the best so far."""
@@ -157,9 +161,11 @@ class Optimum:
 
     @property
     def rank(self) -> tuple:
-        """For comparisons: feasible ones first, then by cost."""
-        outside = self.violation > FEASIBLE
-        return outside, self.violation if outside else self.cost
+        """For comparisons: feasible ones first, then by their costs."""
+        if self.violation > FEASIBLE:
+            return True, 0.0, self.violation
+        finer = np.inf if self.cost_finer is None else self.cost_finer
+        return False, finer, self.cost
 
     def fall_back(self, problem: ShapeProblem) -> None:
         """To the last best that can be simulated without a neighbour."""

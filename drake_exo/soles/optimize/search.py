@@ -66,37 +66,17 @@ def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
 
 
 @dataclass
-class _Run:
-    """A stage from one start: outcome, seconds, where to go on.
-
-    And, of one of several starts, its cost on a finer mesh.
-    """
-
-    optimum: Optimum
-    seconds: float
-    at: Checkpoint
-    cost_finer: float | None = None
-
-    @property
-    def rank(self) -> tuple:
-        """Feasible ones first, then by their costs."""
-        outside, size = self.optimum.rank
-        finer = np.inf if self.cost_finer is None else self.cost_finer
-        return outside, 0.0 if outside else finer, size
-
-
-@dataclass
 class Found:
     """What a search has come to from one start, or from the best.
 
     Attributes:
-        runs: Stages so far.
+        optima: Of the stages so far.
         at: Where it stands.
         seconds: What they took, in the end those of all starts.
         start: Its number.
     """
 
-    runs: list[_Run]
+    optima: list[Optimum]
     at: Checkpoint | None
     seconds: float = 0.0
     start: int = 0
@@ -104,12 +84,12 @@ class Found:
     @property
     def rank(self) -> tuple:
         """Those that went further first, then by their newest optimum."""
-        return -len(self.runs), *self.runs[-1].rank
+        return -len(self.optima), *self.optima[-1].rank
 
-    def after(self, run: _Run) -> "Found":
+    def after(self, best: Optimum, at: Checkpoint) -> "Found":
         """One stage further."""
-        seconds = self.seconds + run.seconds
-        return Found([*self.runs, run], run.at, seconds, self.start)
+        seconds = self.seconds + best.seconds
+        return Found([*self.optima, best], at, seconds, self.start)
 
 
 def optimise(
@@ -230,11 +210,11 @@ def race(
     if starts > 1:
         out = start_folder(out, racer.start)
         prefix = f"start {racer.start + 1}/{starts}, "
-    run = from_start(
+    ended = from_start(
         setup, bends[racer.start], number, racer.at, out,
         lambda line: say(prefix + line),
     )  # fmt: skip
-    return racer.after(run)
+    return racer.after(*ended)
 
 
 def _racers(before) -> list[Found]:
@@ -249,16 +229,16 @@ def go_on(setup: Setup, out, at: Checkpoint, say, before=()) -> Found:
         racers = _racers(before)
         best = min(racers, key=lambda racer: racer.rank)
         at = replace(best.at, starts=tuple(r.at.starts[-1] for r in racers))
-        found = Found(best.runs, at, sum(racer.seconds for racer in racers))
+        found = Found(best.optima, at, sum(racer.seconds for racer in racers))
         _keep(at, out)
         if out is not None:
             for racer in racers:
                 folder = start_folder(out, racer.start)
                 shutil.rmtree(folder, ignore_errors=True)
     for number in range(
-        len(found.runs) or at.stage, len(setup.settings.optimize.stages)
+        len(found.optima) or at.stage, len(setup.settings.optimize.stages)
     ):
-        found = found.after(_run_stage(setup, number, found.at, out, say))
+        found = found.after(*_run_stage(setup, number, found.at, out, say))
         _keep(found.at, out)
     return found
 
@@ -270,8 +250,8 @@ def finished(setup: Setup, found: Found, say) -> Design:
     if len(stages) > 1:
         _scale(problem, found.at)
     design = verified(
-        setup, problem, found.at, [run.optimum for run in found.runs],
-        [run.seconds for run in found.runs],
+        setup, problem, found.at, found.optima,
+        [best.seconds for best in found.optima],
     )  # fmt: skip
     design.seconds = found.seconds + time.perf_counter() - began
     return design
@@ -316,8 +296,10 @@ def _beside_alone(setup: Setup, design: Design, search) -> Design:
     return design
 
 
-def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
-    """A stage from one start, see `start_design`.
+def from_start(
+    setup: Setup, bend: int, number: int, at, out, say
+) -> tuple[Optimum, Checkpoint]:
+    """A stage from one start, see `start_design`; where to go on.
 
     `at` is where it stands, None to begin; `out` a folder for its
     checkpoint, None for none.
@@ -328,9 +310,9 @@ def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
         row = at.starts[number]
         done = Optimum(
             at.p, row["cost"], violation=row["violation"],
-            multipliers=at.multipliers,
+            multipliers=at.multipliers, cost_finer=row.get("cost_finer"),
         )  # fmt: skip
-        return _Run(done, 0.0, at, row.get("cost_finer"))
+        return done, at
     problem = stage_problem(setup, block.stages[number])
     if at is None:
         bounds = problem.within(block.bounds)
@@ -338,20 +320,19 @@ def from_start(setup: Setup, bend: int, number: int, at, out, say) -> _Run:
             problem, bounds, start_design(problem, bounds, bend)
         )
         at = Checkpoint(p=p, latest=p, case=setup.name, key=setup.key)
-    run = _run_stage(setup, number, at, out, say, problem)
-    best = run.optimum
+    best, at = _run_stage(setup, number, at, out, say, problem)
     # Outside of their limits they are compared by how far.
     if _starts(setup) > 1 and best.violation <= FEASIBLE:
         say(f"stage {number + 1}/{len(block.stages)}, on a finer mesh")
-        run.cost_finer = problem.cost_on_finer(best.p)
-    run.seconds = time.perf_counter() - began
+        best.cost_finer = problem.cost_on_finer(best.p)
+    best.seconds = time.perf_counter() - began
     row = {
         "stage": number + 1, "cost": best.cost, "violation": best.violation,
-        "cost_finer": run.cost_finer,
+        "cost_finer": best.cost_finer,
     }  # fmt: skip
-    run.at = replace(run.at, starts=(*run.at.starts, row))
-    _keep(run.at, out)
-    return run
+    at = replace(at, starts=(*at.starts, row))
+    _keep(at, out)
+    return best, at
 
 
 def start_design(problem: ShapeProblem, bounds, bend: int) -> np.ndarray:
@@ -411,7 +392,7 @@ def _scale(problem: ShapeProblem, at: Checkpoint) -> None:
 
 
 def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
-    """One stage from where it stands."""
+    """One stage from where it stands; the optimum, where to go on."""
     began, block = time.perf_counter(), setup.settings.optimize
     problem = problem or stage_problem(setup, block.stages[number])
     at.check_fits(problem)
@@ -448,7 +429,8 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
     best.latest = (best.p, best.multipliers, WARM_BARRIER)
     following = min(number + 1, len(block.stages) - 1)
     at = Checkpoint.of(following, 0, best, approximation, at)
-    return _Run(best, time.perf_counter() - began, at)
+    best.seconds = time.perf_counter() - began
+    return best, at
 
 
 def settle(problem: ShapeProblem, p: np.ndarray) -> np.ndarray:
