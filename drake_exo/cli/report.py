@@ -49,17 +49,13 @@ def write_report(folder: Path, found: list[Results]) -> None:
     marks = [f"{r.folder.name}: {r.mark}" for r in found if r.mark]
     texts = [*marks, *texts]
     for name, rows in made.items():
-        _write_csv(folder / f"{name}.csv", rows)
+        with open(
+            folder / f"{name}.csv", "w", newline="", encoding="utf-8"
+        ) as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)
     for text in texts:
         print(text)
     (folder / "tables.txt").write_text(
         "\n\n".join(texts) + "\n", encoding="utf-8"
     )
     draw_figures(folder, found)
-
-
-def _write_csv(path: Path, rows: list[list]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        for row in rows:
-            writer.writerow(["" if cell is None else cell for cell in row])
