@@ -388,13 +388,6 @@ class FiniteHistory:
     reports: list[Convergence]
     reached: list[float]
 
-    @classmethod
-    def of_none(cls, count: int) -> "FiniteHistory":
-        """Of samples none of which has been followed."""
-        out = Convergence(False, 0, np.inf, "left out after a failure")
-        K_c = np.full((count, 6, 6), np.nan)
-        return cls([None] * count, K_c, [out] * count, [0.0] * count)
-
     @property
     def converged(self) -> np.ndarray:
         """Which samples converged, (N,)."""
@@ -407,7 +400,7 @@ def follow(
     load: Load,
     start: Start,
     entry: State | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    say: Callable[[str], object] | None = None,
     ground: Ground = FLAT,
 ) -> FiniteHistory:
     """Follow force and ZMP sample by sample, with the contact's history.
@@ -416,12 +409,16 @@ def follow(
     known), at a part of its load where need be; the others from the sample
     before. Where Newton fails the load's way is bisected. Without an
     equilibrium the contact's history ends: the samples that follow are left
-    out. `progress` is called with samples done and samples in all.
+    out. `say` is called with one line of progress for each.
     """
     body = NeoHookeanBody(sole.mesh, sole.material)
     solver = FiniteStrainSolver(body, law, ground=ground)
     count = len(load.times)
-    history = FiniteHistory.of_none(count)
+    out = Convergence(False, 0, np.inf, "left out after a failure")
+    history = FiniteHistory(
+        [None] * count, np.full((count, 6, 6), np.nan), [out] * count,
+        [0.0] * count,
+    )  # fmt: skip
     for q in range(count):
         if q in load.begins:
             target = load.target(q, start, ground)
@@ -438,8 +435,8 @@ def follow(
         if not report.converged:
             break
         history.K_c[q] = solver.cartesian_stiffness(state, target)
-        if progress is not None:
-            progress(q + 1, count)
+        if say is not None:
+            say(f"finite strain, {q + 1} of {count} samples")
     return history
 
 
@@ -528,12 +525,7 @@ def compare_strains(
         largest_force=load.largest_force,
     )
     entry = small.state(0) if small.reports[0].converged else None
-
-    def progress(done: int, count: int) -> None:
-        if say is not None:
-            say(f"finite strain, {done} of {count} samples")
-
-    finite = follow(sole, law, strike, start, entry, progress, setup.ground)
+    finite = follow(sole, law, strike, start, entry, say, setup.ground)
     return {
         "heel_strike_samples": count,
         "converged_samples": int(finite.converged.sum()),

@@ -197,12 +197,6 @@ def test_words_stand_over_their_numbers(compared):
     assert over == list(zip(5 * ["small", "finite"], ends, strict=True))
 
 
-def test_what_is_left_out_is_as_long_as_the_rest():
-    history = module.FiniteHistory.of_none(3)
-    assert history.states == 3 * [None] and history.reached == 3 * [0.0]
-    assert history.converged.tolist() == 3 * [False]
-
-
 def test_samples_that_fail_are_numbered_as_of_the_load():
     finite = SimpleNamespace(
         converged=np.array([True, False, False]), reached=[1.0, 0.3, 0.0],
