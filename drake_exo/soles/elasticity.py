@@ -504,13 +504,9 @@ class Sole:
 
         Each element gives an equal part of its volume to its nodes.
         """
-        tets = self.mesh.tets
-        part = np.repeat(self.mesh.volumes / 4, 4)
-        total = np.bincount(tets.ravel(), part)
-        element = np.repeat(np.arange(len(tets)), 4)
-        share = csr_matrix(
-            (part, (tets.ravel(), element)), (len(total), len(tets))
-        )
+        tets, part = self.mesh.tets, self.mesh.volumes / 4
+        total = np.bincount(tets.ravel(), np.repeat(part, 4))
+        share = _incidence(tets).T @ diags(part)
         return (diags(1 / total) @ share).tocsr()
 
 
