@@ -38,8 +38,6 @@ class GaussSeidelSolver(ContactSolver):
     def __init__(
         self, C, lP, law, sweep_tolerance: float = 1e-10, ground: Ground = FLAT
     ):
-        if law.epsilon > 0 or law.kappa > 0:
-            raise ValueError("Gauss–Seidel solves the exact law alone")
         super().__init__(C, lP, law, max_iterations=60, ground=ground)
         self.sweep_tolerance = sweep_tolerance
         self.sweeps = 0

@@ -46,11 +46,6 @@ class ActiveSet:
         """C_AA⁻¹ [N/m], (3k, 3k)."""
         return self._S[: 3 * len(self.nodes), : 3 * len(self.nodes)]
 
-    @property
-    def dofs(self) -> np.ndarray:
-        """Contact dofs of the active nodes, (3k,)."""
-        return node_dofs(self.nodes)
-
     def refresh(self) -> None:
         """Invert C_AA from scratch."""
         n = 3 * len(self.nodes)

@@ -251,14 +251,11 @@ class StoredDesign:
         return spline, p
 
 
-def write_case(folder: Path, settings: Settings, start: Start) -> Settings:
+def write_case(folder: Path, settings: Settings, start: Start) -> None:
     """Write the case beside its design; its paths stay as they were.
 
     The start is written out: its default depends on the initial mesh, which
     the folder does not hold.
-
-    Returns:
-        The settings with their start written out.
     """
     block = StartBlock(
         tuple(map(float, start.point_L)),
@@ -267,7 +264,6 @@ def write_case(folder: Path, settings: Settings, start: Start) -> Settings:
     )
     settings = replace(settings, start=block)
     (folder / CASE).write_text(schema.dump_text(settings), encoding="utf-8")
-    return settings
 
 
 def find_designs(folder: Path | str) -> list[StoredDesign]:

@@ -180,7 +180,6 @@ class Evaluation:
     what they bear.
     """
 
-    p: np.ndarray
     sole: Sole
     solver: ContactSolver
     history: StepHistory

@@ -171,7 +171,6 @@ class ShapeProblem:
             self._sole = replace(self._sole, mesh=self.mesh)
             return self._simulate(p)
         return Evaluation(
-            p,
             sole,
             solver,
             history,
