@@ -36,15 +36,7 @@ from drake_exo.files.tables import read_bytes
 
 STUDY_STEPS = ("check", "calibrate", "crossvalidate", "predict", "design")
 CASE_STEPS = ("sole simulate", "sole optimize")
-Step = Literal[
-    "check",
-    "calibrate",
-    "crossvalidate",
-    "predict",
-    "design",
-    "sole simulate",
-    "sole optimize",
-]
+Step = Literal[(*STUDY_STEPS, *CASE_STEPS)]
 # A step builds on the results of another of the same subject.
 BUILDS_ON = {"predict": "calibrate", "design": "calibrate"}
 _OURS = ("--out", "--force", "--resume", "--data-root", "--calibration")

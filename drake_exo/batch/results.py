@@ -230,8 +230,7 @@ def write_table(folder: Path, rows: list[Row]) -> list[str]:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
-    for row in rows:
-        writer.writerow("" if x is None else x for x in astuple(row))
+    writer.writerows(map(astuple, rows))
     replace_file(folder / "results.csv", text.getvalue().encode())
     try:
         import pyarrow
