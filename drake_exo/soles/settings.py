@@ -593,10 +593,6 @@ class Setup:
         """
         if iterations is None:
             return self
-        if not (isinstance(iterations, int | np.integer) and iterations >= 0):
-            raise InputError(
-                f"iterations is {iterations!r}; give a whole number from 0 on"
-            )
         return self._with_last_stage(iterations=iterations)
 
     def on_own_mesh(self) -> "Setup":
