@@ -128,11 +128,6 @@ class SoleMotion:
     def _touching(self) -> np.ndarray:
         return np.searchsorted(self.surface, self.mesh.contact)
 
-    def zero_moment_point(self) -> np.ndarray:
-        """Of the contact forces, on the ground [m], (N, 3)."""
-        p = self.ground.zero_moment_point(self.force, self.places)
-        return np.column_stack([p, self.ground.height(p)])
-
     def thinned(self, most: int) -> SoleMotion:
         """At most that many samples, first and last among them."""
         count = min(len(self.times), most)
@@ -234,7 +229,7 @@ def _page(title: str, top: float, box: _Box) -> Page:
 
 
 def _clip(number: int, motion: SoleMotion, values, box: _Box) -> Clip:
-    zmp = motion.zero_moment_point()
+    zmp = motion.ground.zero_moment_point(motion.force, motion.places)
     turn = np.roll(Rotation.from_matrix(motion.rotation).as_quat(), 1, axis=1)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(zmp), 1))
     times = motion.times - motion.times[0]

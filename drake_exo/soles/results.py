@@ -255,14 +255,13 @@ class Step:
 
         NaN where nothing touches.
         """
-        F, P = self.history.F, self.history.P
-        return self.setup.ground.zero_moment_point(F, P)
+        return self._zmp_on_ground[:, :2]
 
     @property
     def _zmp_on_ground(self) -> np.ndarray:
         """With its height, (N, 3)."""
-        zmp = self.zmp
-        return np.column_stack([zmp, self.setup.ground.height(zmp)])
+        F, P = self.history.F, self.history.P
+        return self.setup.ground.zero_moment_point(F, P)
 
     @property
     def free_moment(self) -> np.ndarray:

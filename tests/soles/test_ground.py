@@ -154,7 +154,7 @@ def test_an_animation_s_zmp_is_the_load_s():
     ground, load = _ground(_bumps), _load()
     sole, _, history = _simulated(ground, load)
     motion = SoleMotion.of("it", sole.mesh, load.times, history, ground)
-    found = motion.zero_moment_point()
+    found = motion.ground.zero_moment_point(motion.force, motion.places)
     np.testing.assert_allclose(found[:, :2], load.zmp, atol=1e-7)
     np.testing.assert_allclose(found[:, 2], ground.height(load.zmp), atol=1e-8)
 
@@ -325,7 +325,7 @@ def test_a_case_on_bumps(tmp_path):
     motion = SoleMotion.read(tmp_path / "out" / HISTORY, "bumps")
     np.testing.assert_allclose(motion.ground.z, case.ground.z)
     below = motion.ground.height(case.load.zmp)
-    zmp = motion.zero_moment_point()
+    zmp = motion.ground.zero_moment_point(motion.force, motion.places)
     np.testing.assert_allclose(zmp[:, :2], found.step.zmp, atol=1e-7)
     np.testing.assert_allclose(zmp[:, 2], below, atol=1e-7)
     level = tmp_path / "level.html"

@@ -289,9 +289,9 @@ class Ground:
     def zero_moment_point(self, F: np.ndarray, P: np.ndarray) -> np.ndarray:
         """On the ground, of forces F [N] at places P [m], (N, m, 3) each.
 
-        [m], (N, 2); NaN where there are none.
+        With its height [m], (N, 3); NaN where there are none.
         """
-        out = np.full((len(F), 2), np.nan)
+        out = np.full((len(F), 3), np.nan)
         there = F[:, :, 2].sum(axis=1) != 0
         F, P = F[there], P[there]
         total, level = F.sum(axis=1), P[:, :, :2] * F[:, :, 2:]
@@ -305,7 +305,7 @@ class Ground:
                 (slope * x).sum(axis=1, keepdims=True) for x in (off, along)
             )
             z = z + (off + along * rise / (up - turn)) / up
-        out[there] = z
+        out[there] = np.column_stack([z, self.height(z)])
         return out
 
     def arrays(self) -> dict[str, np.ndarray]:

@@ -202,8 +202,8 @@ class Target:
         """
         if self.rotation is None:
             return self
-        zmp = ground.zero_moment_point(F[None], P[None])
-        return replace(self, zmp=zmp[0], height=float(ground.height(zmp)[0]))
+        (zmp,) = ground.zero_moment_point(F[None], P[None])
+        return replace(self, zmp=zmp[:2], height=float(zmp[2]))
 
     def missed(self, wrench: np.ndarray) -> np.ndarray:
         """What a wrench (6,) about the ZMP lacks where it is asked for."""
