@@ -23,6 +23,11 @@ from drake_exo.soles.numerics import rotation_z
 
 _PAUSE_S = 0.2  # between loads that follow one another
 MOST_SAMPLES = 100_000  # of a load; each is a system to solve
+# A sample's part of a load's arrays.
+_SHAPES = {
+    "times": (), "force": (3,), "zmp": (2,), "free_moment": (),
+    "rotation": (3, 3),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +87,7 @@ class Load:
         )
 
     def __post_init__(self):
-        shapes = {
-            "times": (), "force": (3,), "zmp": (2,), "free_moment": (),
-            "rotation": (3, 3),
-        }  # fmt: skip
-        for label, shape in shapes.items():
+        for label, shape in _SHAPES.items():
             if (given := getattr(self, label)) is None:
                 continue
             try:
@@ -188,19 +189,11 @@ class Load:
 
     def at(self, index: np.ndarray) -> "Load":
         """Some samples, by their increasing numbers."""
-
-        def picked(values):
-            return None if values is None else values[index]
-
-        phase = self.phase[index]
-        left, begins = np.unique(phase, return_index=True)
+        left, begins = np.unique(self.phase[index], return_index=True)
+        arrays = {name: getattr(self, name) for name in _SHAPES}
         return replace(
             self,
-            times=self.times[index],
-            force=self.force[index],
-            zmp=self.zmp[index],
-            free_moment=picked(self.free_moment),
-            rotation=picked(self.rotation),
+            **{n: x[index] for n, x in arrays.items() if x is not None},
             begins=tuple(map(int, begins)),
             weights=tuple(self.weights[k] for k in left),
         )
