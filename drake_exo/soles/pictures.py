@@ -655,7 +655,7 @@ def _thickness(axis, mesh: TetMesh, x, y, place, lift=0.0) -> None:
     corners = 1e3 * mesh.nodes[mesh.boundary_faces]
     # Off the edges of regular meshes, and off their diagonals.
     point = np.array([[x, y]]) + 1e-4 * np.array([np.pi, np.e])
-    for _, (z,), _ in crossings(corners, point):
+    for _, (z,) in crossings(corners, point):
         low, high = z.min(), z.max()
         text = f"{high - low:.1f}"
         _dimension(axis, (place, lift + low), (0, high - low), text)

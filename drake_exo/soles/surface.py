@@ -468,7 +468,7 @@ class _Thickness:
         i, j = np.meshgrid(*map(np.arange, self.shape), indexing="ij")
         places = np.stack([i.ravel(), j.ravel()], 1) * self.step + self.low
         total = np.zeros(len(places))
-        for rows, z, _ in crossings(self.corners, places):
+        for rows, z in crossings(self.corners, places):
             z = np.sort(z, axis=1)
             pairs = z[:, 1::2] - z[:, 0 : z.shape[1] // 2 * 2 : 2]
             total[rows] = pairs.sum(axis=1)
@@ -502,8 +502,7 @@ class _Thickness:
 def crossings(corners: np.ndarray, places: np.ndarray):
     """Heights at which vertical lines at places (n, 2) meet triangles.
 
-    Yields rows of places with a like number of crossings, heights (rows, k),
-    and 1 where triangles look upwards there, else -1.
+    Yields rows of places with a like number of crossings, heights (rows, k).
     """
     low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
     found = []
@@ -521,14 +520,14 @@ def crossings(corners: np.ndarray, places: np.ndarray):
         hit = (u >= 0) & (v >= 0) & (u + v < 1) & ~steep
         row, t = np.nonzero(hit)
         z = a[t, 2] + u[hit] * (b - a)[t, 2] + v[hit] * (c - a)[t, 2]
-        found.append((row + first, z, np.sign(det[t])))
-    row, z, up = (np.concatenate(x) for x in zip(*found, strict=True))
+        found.append((row + first, z))
+    row, z = (np.concatenate(x) for x in zip(*found, strict=True))
     counts = np.bincount(row, minlength=len(places))
     starts = np.cumsum(counts) - counts
     for k in np.unique(counts[counts > 0]):
         rows = np.flatnonzero(counts == k)
         at = starts[rows, None] + np.arange(k)
-        yield rows, z[at], up[at]
+        yield rows, z[at]
 
 
 def _soup(corners) -> tuple[np.ndarray, np.ndarray]:

@@ -96,7 +96,7 @@ def test_any_outline_and_any_top_has_a_mould(mesh):
         # Lines from below meet the mould's floor, the cavity and, beside it
         # alone, the block's top.
         for at, count in (((0.0, 0.0), 2), ((0.11, y.min() - 0.005), 2)):
-            met = [z.shape[1] for _, z, _ in crossings(corners, np.array([at]))]
+            met = [z.shape[1] for _, z in crossings(corners, np.array([at]))]
             assert met == [count]
     span = np.ptp(bean, axis=0) + np.array([0.02, 0.02, 0.01])
     sole = base.with_nodes(bean)

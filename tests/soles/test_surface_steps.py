@@ -102,7 +102,7 @@ def test_lines_meet_triangles_where_their_planes_say():
     corners = np.concatenate([corners, upright])
     places = np.random.default_rng(1).uniform(-1.5, 1.5, (600, 2))
     found = [[] for _ in places]
-    for rows, heights, _ in steps.crossings(corners, places):
+    for rows, heights in steps.crossings(corners, places):
         for row, own in zip(rows, heights, strict=True):
             assert not found[row]
             found[row] = sorted(own)
