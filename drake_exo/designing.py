@@ -30,6 +30,7 @@ from drake_exo.calibration.wearers import (
     Wearer,
     answer,
     assisted,
+    check_wearers,
     drawn,
     joint_friction,
     posture_law,
@@ -108,10 +109,13 @@ def design(
     names = _names(studies)
     if len(names) > 1:  # files are called after them
         _check_labels(names, studies)
+    contacts = [s.worn(c) for s, c in zip(studies, contacts, strict=True)]
+    who = zip(names, studies, contacts, strict=True)
+    # Told before minutes of solving.
+    check_wearers([Wearer(n, s.model, c, ()) for n, s, c in who], settings)
     before, wearers = {}, []
     for name, own, contact in zip(names, studies, contacts, strict=True):
         own.warn_of(own.trials("prediction"))
-        contact = own.worn(contact)
         before[name] = movements(own, contact, settings)
         wearers.append(wearer(name, own, contact, before[name]))
     everybody = [w for own in wearers for w in _wearers(own, settings)]

@@ -569,6 +569,14 @@ def test_wearers_whose_files_would_be_called_alike_are_refused(study):
         dx.design(pair, [contact, contact])
 
 
+def test_what_cannot_be_designed_is_told_before_anything_is_solved(study):
+    own, contact = study
+    trials = [replace(t, moments=None) for t in own.trials()]
+    settings = replace(SETTINGS, cuffs={"tigh": CuffFreedom()})
+    with pytest.raises(InputError, match=r"design\.cuffs\.tigh"):
+        dx.design(dx.Study(own.model, trials), contact, settings)
+
+
 def test_what_is_asked_in_python_is_checked(study):
     own, contact = study
     ground = replace(contact, bushings={})

@@ -455,12 +455,20 @@ def check_wearers(wearers: Sequence[Wearer], settings: DesignSettings) -> None:
                 f"device; it moves {', '.join(movable(first)) or 'none'}"
             )
     for wearer in wearers:
-        if list(wearer.model.cuffs) != list(first.cuffs):
-            raise InputError(
-                f"{wearer.name} has the cuffs {', '.join(wearer.model.cuffs)}, "
-                f"{wearers[0].name} {', '.join(first.cuffs)}; design for "
-                "wearers of one device"
-            )
+        for what, own, usual in (
+            ("cuffs", wearer.model.cuffs, first.cuffs),
+            (
+                "joints",
+                wearer.model.coordinates.device,
+                first.coordinates.device,
+            ),
+        ):
+            if list(own) != list(usual):
+                raise InputError(
+                    f"the device of {wearer.name} has the {what} "
+                    f"{', '.join(own)}, that of {wearers[0].name} "
+                    f"{', '.join(usual)}; design for wearers of one device"
+                )
         for cuff, bushing in wearer.contact.bushings.items():
             if min(bushing.stiffness) <= 0.0:
                 raise InputError(

@@ -1,6 +1,7 @@
 """Who wears a design: drawn, of other sizes, with other torques."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,12 +26,22 @@ from drake_exo.calibration.wearers import (
     with_more,
 )
 from drake_exo.contact.bushing import BushingParameters
-from drake_exo.contact.parameters import ContactSphere, Posterior
+from drake_exo.contact.parameters import (
+    ContactSphere,
+    Posterior,
+    nominal_contact,
+)
 from drake_exo.contact.strap import Assistance, Design, Gains
 from drake_exo.errors import InputError
 from drake_exo.measurement.kinematics import inverse_dynamics
-from drake_exo.model.description import fit_exoskeleton
-from drake_exo.model.plant import nominal_model
+from drake_exo.model.assembly import Assembly, CuffLinks, DeviceFile
+from drake_exo.model.description import (
+    fit_exoskeleton,
+    models_path,
+    nominal_human,
+)
+from drake_exo.model.device_file import brought_in
+from drake_exo.model.plant import Model, nominal_model
 from drake_exo.model.segments import scale_human
 
 
@@ -287,6 +298,22 @@ def test_what_a_device_has_not_is_not_designed(wearer, what):
     settings = DesignSettings(**{what: {"knee": freedom}})
     with pytest.raises(InputError, match=rf"design\.{what}\.knee: "):
         check_wearers([wearer], settings)
+
+
+def test_wearers_wear_one_device():
+    """Not two whose cuffs are called alike."""
+    text = (models_path() / "hip_only.urdf").read_text()
+    hip = Assembly(
+        device=DeviceFile({"belt": "pelvis"}, Path("hip_only.urdf")),
+        cuffs={"thigh": CuffLinks("thigh", "bar")},
+    )
+    models = [
+        Model(brought_in(hip, text.replace("motor", joint)), nominal_human())
+        for joint in ("motor", "drive")
+    ]
+    two = [Wearer(m.name, m, nominal_contact(m), ()) for m in models]
+    with pytest.raises(InputError, match="the joints drive, that of"):
+        check_wearers(two, DesignSettings())
 
 
 def test_bodies_are_at_their_percentiles():
