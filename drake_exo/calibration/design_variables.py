@@ -28,6 +28,7 @@ from drake_exo.contact.strap import (
 )
 from drake_exo.model.assembly import without_side
 from drake_exo.model.plant import Model
+from drake_exo.model.segments import CUFFED
 
 # A cuff stays this far from the joints at its limb's ends.
 _FROM_JOINT_M = 0.05
@@ -213,11 +214,15 @@ def _along(cuff: str, wearers, wanted) -> tuple[float, float]:
     lower, upper = wanted
     for wearer in wearers:
         segment = without_side(wearer.model.tree.cuffs[cuff][0])
-        part = getattr(wearer.model.human, segment, None)
-        length = np.inf if part is None else part.length_m
+        human = wearer.model.human
         place = wearer.contact.bushings[cuff].origin_z
-        lower = max(lower, min(_FROM_JOINT_M - place, 0.0))
-        upper = min(upper, max(length - _FROM_JOINT_M - place, 0.0))
+        if segment in CUFFED:
+            lowest = _FROM_JOINT_M
+            highest = getattr(human, segment).length_m - _FROM_JOINT_M
+        else:  # a foot lies across
+            lowest, highest = -human.ankle_height_m, 0.0
+        lower = max(lower, min(lowest - place, 0.0))
+        upper = min(upper, max(highest - place, 0.0))
     return lower, upper
 
 

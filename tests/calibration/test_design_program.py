@@ -33,6 +33,7 @@ from drake_exo.calibration.settings import (
     JointFreedom,
     Solver,
 )
+from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.strap import (
     Assistance,
     CuffDesign,
@@ -808,3 +809,10 @@ def test_a_cuff_of_one_of_two_legs_stays_on_its_limb(model, wearer):
     )
     wanted = (-1.0, 1.0)
     assert _along("left", [both], wanted) == _along("thigh", [wearer], wanted)
+    # A foot lies across: its strap stays between sole and ankle.
+    both.model.tree.cuffs["left"] = ("foot_left", "plate")
+    strap = BushingParameters(origin_z=-0.04)
+    both.contact.bushings["left"] = strap
+    lower, upper = _along("left", [both], wanted)
+    assert lower == pytest.approx(0.04 - model.human.ankle_height_m)
+    assert upper == pytest.approx(0.04)
