@@ -109,15 +109,16 @@ def design(
     names = _names(studies)
     if len(names) > 1:  # files are called after them
         _check_labels(names, studies)
-    contacts = [s.worn(c) for s, c in zip(studies, contacts, strict=True)]
-    who = zip(names, studies, contacts, strict=True)
-    # Told before minutes of solving.
-    check_wearers([Wearer(n, s.model, c, ()) for n, s, c in who], settings)
+    worn = [
+        Wearer(name, own.model, own.worn(contact), own.trials("prediction"))
+        for name, own, contact in zip(names, studies, contacts, strict=True)
+    ]
+    check_wearers(worn, settings)  # told before minutes of solving
     before, wearers = {}, []
-    for name, own, contact in zip(names, studies, contacts, strict=True):
-        own.warn_of(own.trials("prediction"))
-        before[name] = movements(own, contact, settings)
-        wearers.append(wearer(name, own, contact, before[name]))
+    for own, who in zip(studies, worn, strict=True):
+        own.warn_of(who.trials)
+        before[who.name] = movements(own, who.contact, settings)
+        wearers.append(wearer(who.name, own, who.contact, before[who.name]))
     everybody = [w for own in wearers for w in _wearers(own, settings)]
     today = DesignProblem.of_today(everybody, settings).solve(
         on_iterate=SolveWatch("today")
@@ -297,11 +298,6 @@ def movements(
     found = []
     progress = Progress("own movements", len(trials))
     for k, trial in enumerate(trials):
-        if trial.moments is None:
-            raise InputError(
-                f"trial {trial.name}: the device's torques are not known; "
-                "give exo_moments or device in the study"
-            )
         answers = {}
         if today is not None:
             who, own = today

@@ -441,7 +441,7 @@ def _owner(device: DeviceFile, text: str) -> tuple[ET.Element, ET.Element]:
 
 
 def without_stiff_joints(device: DeviceFile, text: str) -> str:
-    """The file without joints between welded links, and without meshes.
+    """The file without joints between welded links.
 
     Raises:
         InputError: it is no XML, or holds not exactly one model.
@@ -450,8 +450,6 @@ def without_stiff_joints(device: DeviceFile, text: str) -> str:
     for joint in owner.findall("joint"):
         if _ends(joint) <= set(device.weld):
             owner.remove(joint)
-    if device.file is not None:
-        _without_meshes(owner)
     return ET.tostring(root, encoding="unicode")
 
 

@@ -263,7 +263,18 @@ class Model:
     @cached_property
     def upright_poses(self) -> dict[str, np.ndarray]:
         """Body -> x, z [m], angle [rad] while person and device stand."""
-        return _poses(self)
+        plant, device = self.plant(), self.assembly.device
+        if device is not None:
+            check_planar(plant, device)
+        tree = PlanarTree.from_plant(plant)
+        q = np.zeros((1, tree.num_positions))
+        return {
+            name: np.r_[
+                tree.point_positions(q, name, (0.0, 0.0))[0],
+                tree.body_angles(q, name),
+            ]
+            for name in tree.names
+        }
 
     @property
     def cuffs(self) -> dict[str, tuple[float, float]]:
@@ -439,25 +450,9 @@ def _add_shells(plant, worn, assembly: Assembly, human) -> None:
         plant.WeldFrames(link, held.body_frame(), placed(weld))
 
 
-def _poses(model: Model) -> dict[str, np.ndarray]:
-    """Body -> x, z and angle in the world while all stand upright."""
-    plant, device = model.plant(), model.assembly.device
-    if device is not None:
-        check_planar(plant, device)
-    tree = PlanarTree.from_plant(plant)
-    q = np.zeros((1, tree.num_positions))
-    return {
-        name: np.r_[
-            tree.point_positions(q, name, (0.0, 0.0))[0],
-            tree.body_angles(q, name),
-        ]
-        for name in tree.names
-    }
-
-
 def _seen_from(model: Model, base: str, body: str) -> Weld:
     """Place of one body on another while all stand upright."""
-    poses = _poses(model)
+    poses = model.upright_poses
     x, z, angle = poses[body] - poses[base]
     c, s = np.cos(poses[base][2]), np.sin(poses[base][2])
     at = float(c * x + s * z), float(c * z - s * x)
