@@ -51,9 +51,8 @@ def with_text(assembly: Assembly, root: Path) -> Assembly:
     return brought_in(assembly, read_text(path, "check model.device.file"))
 
 
-# Whether an element's numbers are xyz and rpy of a frame, turned by half a
-# circle about z with all the others.
-_TURNED = np.array([-1.0, -1.0, 1.0])
+# By half a circle about z.
+_TURNED = RigidTransform(RotationMatrix(np.diag([-1.0, -1.0, 1.0])))
 _OWN = "device_"  # before the name of a link that the person has, too
 
 
@@ -102,8 +101,6 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
         for tag in ("axis", "limit", "dynamics", "mimic"):
             for element in joints[name].findall(tag):
                 joints[name].remove(element)
-    if device.forward == "-x":
-        _turn(device, root)
     _without_meshes(owner)
     _into_plane(device, root, owner)
     links = {link.get("name") for link in owner.findall("link")}
@@ -213,42 +210,12 @@ def _without_dynamics(device: DeviceFile, joint: ET.Element):
         )
 
 
-def _turn(device: DeviceFile, root: ET.Element) -> None:
-    """Turn every frame by half a circle about its z axis, in place."""
-
-    def turned(text: str) -> str:
-        try:
-            values = np.array(text.split(), dtype=float).reshape(-1, 3)
-        except ValueError as error:
-            raise InputError(
-                f"{device.name}: {text!r} is not a place or an attitude"
-            ) from error
-        return " ".join(repr(x) for x in (values * _TURNED).ravel().tolist())
-
-    for element in root.iter():
-        if element.tag in ("origin", "axis"):
-            for key in {"xyz", "rpy"} & set(element.keys()):
-                element.set(key, turned(element.get(key)))
-        if element.tag in ("pose", "xyz") and (element.text or "").strip():
-            element.text = turned(element.text)
-        if element.tag == "inertia":
-            for key in ("ixz", "iyz"):
-                if element.get(key) is not None:
-                    element.set(key, _negated(element.get(key)))
-                for child in element.findall(key):
-                    child.text = _negated(child.text)
-
-
-def _negated(number: str) -> str:
-    number = number.strip()
-    return number[1:] if number.startswith("-") else f"-{number}"
-
-
 def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
     """Give each link a frame whose y is across the plane, in place.
 
     Those of CAD lie in any way: one whose y is not that of the welded link
-    that it hangs from takes that one's axes, at the same origin. Places in an
+    that it hangs from takes that one's axes, at the same origin; all are turned
+    about z where the file's x points backward. Places in an
     SDF are then told from the model and from links alone: joints and links'
     names may change.
     """
@@ -274,6 +241,8 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
             off = np.abs(R_LW.matrix()[:, 1] - [0.0, 1.0, 0.0]).max()
             is_kept = name in device.weld or off <= _STRAIGHT
             X_LP[name] = RigidTransform() if is_kept else RigidTransform(R_LW)
+            if device.forward == "-x":
+                X_LP[name] = X_LP[name] @ _TURNED
     turned = {n for n, X in X_LP.items() if not X.IsExactlyIdentity()}
     told = {key for element in root.iter() for key in element.attrib}
     if not turned and not told & _TOLD_FROM:
