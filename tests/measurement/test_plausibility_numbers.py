@@ -412,7 +412,7 @@ def test_a_pressure_far_away_is_told_with_its_unit():
     assert told(found, "cop_along", "cop_across", "cop_unit") == [
         (200.0 - 0.38, 0.03, False),
         (100.0 - 0.13, 0.05, False),
-        (150.0, 2.0, False),
+        (200.0 - 0.38, 2.0, False),
     ]
     wrong = {s: pressed(x=1e2 * x, y=1e2 * y) for s, (x, y) in on.items()}
     known(e, plates=wrong)
@@ -420,6 +420,13 @@ def test_a_pressure_far_away_is_told_with_its_unit():
     known(e, plates={s: pressed(x=x, y=y) for s, (x, y) in on.items()})
     assert plausibility.likely_cause(e) is None
     assert e.outside("left")[0] < 0.0
+
+
+def test_a_foot_far_from_the_origin_is_far_from_no_limit():
+    e = made(feet=shod(left=(3.0, 0.1)), legs={"left": np.zeros((200, 3))})
+    known(e, plates={"left": pressed(x=3.1, y=0.1)})
+    *_, found = plausibility._pressure(e, "left")
+    assert found.holds and found.value < 0.0
 
 
 def forced(F_z, needed_z, rate_hz=1000.0):
