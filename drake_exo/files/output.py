@@ -286,6 +286,7 @@ def write_json(path: str | Path, obj: Any) -> None:
         indent=2,
         ensure_ascii=False,
         allow_nan=False,
+        default=os.fspath,
     )
     draft = path.with_name(path.name + ".tmp")
     try:
@@ -313,12 +314,14 @@ def write_csv(path: Path, columns: dict[str, Sequence]) -> None:
 def checksum(obj: Any) -> str:
     """Sixteen digits that tell contents apart: JSON, numbers to six digits.
 
-    Other machines round otherwise; six digits are the same on all.
+    Other machines round otherwise; six digits are the same on all. Files
+    count by their names, wherever they lie.
 
     >>> checksum({"mass_kg": 75.0}) == checksum({"mass_kg": 75.0 + 1e-9})
     True
     """
-    text = json.dumps(_rounded(_jsonable(obj)), sort_keys=True)
+    content = _rounded(_jsonable(obj))
+    text = json.dumps(content, sort_keys=True, default=lambda path: path.name)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -428,7 +431,7 @@ def _jsonable(value: Any) -> Any:
         return _jsonable(value.item())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    return str(value) if isinstance(value, Path) else value
+    return value
 
 
 class Progress:

@@ -236,6 +236,13 @@ def test_contents_that_differ_beyond_six_digits_are_the_same():
     assert checksum([3.0]) != checksum([4.0])
 
 
+def test_a_file_is_the_same_wherever_it_lies():
+    """The same device, named from the study of another folder."""
+    one = checksum({"file": Path("device.urdf")})
+    assert one == checksum({"file": Path("../models/device.urdf")})
+    assert one != checksum({"file": Path("another.urdf")})
+
+
 def test_somebodys_file_of_a_results_name_is_not_replaced(tmp_path):
     target = tmp_path / "data"
     target.mkdir()
