@@ -16,6 +16,7 @@ from drake_exo.files.tables import (
     MarkerData,
     PlateRecording,
     Table,
+    check_count,
     check_gaps,
     check_increasing,
     check_names,
@@ -58,11 +59,11 @@ def read_table(path: str | Path) -> Table:
     check_names(path, rest[0] + 1, names)
     for key in ("nColumns", "datacolumns"):
         announced = header.get(key.lower())
-        _check_count(path, announced, len(names), key, "column names")
+        check_count(path, announced, len(names), key, "column names")
     rows = [(i + 1, lines[i].split()) for i in rest[1:]]
     values = number_rows(path, rows, len(names))
     for key in ("nRows", "datarows"):
-        _check_count(path, header.get(key.lower()), len(rows), key, "rows")
+        check_count(path, header.get(key.lower()), len(rows), key, "rows")
     check_increasing(str(path), values[:, 0])
     return Table(
         time=values[:, 0],
@@ -89,7 +90,7 @@ def read_trc(path: str | Path) -> MarkerData:
     cells = [cell.strip() for cell in lines[3].split("\t")]
     names = [cell for cell in cells if cell][2:]
     check_names(path, 4, names)
-    _check_count(
+    check_count(
         path, header.get("nummarkers"), len(names), "NumMarkers", "marker names"
     )
     width = 2 + 3 * len(names)
@@ -100,7 +101,7 @@ def read_trc(path: str | Path) -> MarkerData:
     values = number_rows(path, rows, width)
     announced = header.get("numframes")
     if not _is_cut_out(announced, values[:, 0]):
-        _check_count(path, announced, len(rows), "NumFrames", "frames")
+        check_count(path, announced, len(rows), "NumFrames", "frames")
     check_increasing(str(path), values[:, 1])
     return MarkerData(
         time=values[:, 1],
@@ -270,15 +271,6 @@ def _length_unit(path, unit: str | None) -> float:
             f"{path}: Units in the header is {unit!r}; write m, cm or mm"
         )
     return LENGTHS[unit.lower()]
-
-
-def _check_count(path, text: str | None, count: int, key, what) -> None:
-    """A file with fewer rows than it announces was cut off."""
-    if text is not None and text.isdecimal() and int(text) != count:
-        raise InputError(
-            f"{path}: the header says {key}={text}, but there are {count} "
-            f"{what}; the file is truncated or its header wrong"
-        )
 
 
 def _is_cut_out(announced: str | None, frames: np.ndarray) -> bool:

@@ -9,6 +9,7 @@ from drake_exo.errors import InputError
 from drake_exo.files.tables import (
     MarkerData,
     PlateRecording,
+    check_count,
     check_increasing,
     frame_rate,
     number_rows,
@@ -16,6 +17,7 @@ from drake_exo.files.tables import (
     read_text,
 )
 
+_TOTAL = "Total Exported Frames"
 _LENGTHS = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
 # In the order of C3D: (+x, +y), (-x, +y), (-x, -y), (+x, -y) of the plate.
 _CORNERS = ("PosX_PosY", "NegX_PosY", "NegX_NegY", "PosX_NegY")
@@ -60,7 +62,7 @@ def read_markers_csv(path: str | Path) -> MarkerData:
     values = number_rows(path, numbered[start + 1 :], len(rows[start]))
     check_increasing(str(path), values[:, 1])
     positions = np.stack([values[:, c] for c in columns.values()], axis=1)
-    _check_total(path, head.get("Total Exported Frames"), len(values))
+    check_count(path, head.get(_TOTAL), len(values), _TOTAL, "frames")
     return MarkerData(
         time=values[:, 1],
         names=tuple(columns),
@@ -107,7 +109,7 @@ def read_plate_csv(
             )
     values = number_rows(path, numbered[start + 1 :], len(names))
     check_increasing(str(path), values[:, names.index("MocapTime")])
-    _check_total(path, head.get("Total Exported Frames"), len(values))
+    check_count(path, head.get(_TOTAL), len(values), _TOTAL, "frames")
     signals = values[:, [names.index(c) for c in _CHANNELS]]
     if not np.isfinite(signals).all():
         raise InputError(f"{path}: forces have gaps; export it again")
@@ -158,14 +160,6 @@ def _label_rows(path, rows) -> tuple[list[str], list[str]]:
             f"{path}: has no rows of marker names; export with the header"
         )
     return labels[0][2:], labels[1][2:]
-
-
-def _check_total(path, text: str | None, count: int) -> None:
-    if text and text.strip().isdecimal() and int(text) != count:
-        raise InputError(
-            f"{path}: says {int(text)} exported frames, but holds {count}; "
-            "the file is truncated"
-        )
 
 
 def _corners(path, head) -> np.ndarray:

@@ -469,6 +469,15 @@ def comma_separated(path, header: str) -> list[str]:
     return header.split(",")
 
 
+def check_count(path, text: str | None, count: int, key, what) -> None:
+    """A file with fewer rows than it announces was cut off."""
+    if text is not None and text.strip().isdecimal() and int(text) != count:
+        raise InputError(
+            f"{path}: the header says {key}={text}, but there are {count} "
+            f"{what}; the file is truncated or its header wrong"
+        )
+
+
 def check_names(path, line: int, names: list[str]) -> None:
     """Refuse names of columns, in a line of a file, that are there twice."""
     for name in names:

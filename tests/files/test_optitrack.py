@@ -88,7 +88,7 @@ def test_plate_acts_on_the_body(tmp_path):
     ("reader", "text", "words"),
     [
         (read_markers_csv, markers(unit="Feet"), "Length Units is 'Feet'"),
-        (read_markers_csv, markers(told=30), "holds 25; the file is trunc"),
+        (read_markers_csv, markers(told=30), "Frames=30, but there are 25"),
         (read_markers_csv, markers()[:-30], "truncated"),
         (read_markers_csv, "a,b\n1,2\n", "not a marker export"),
         (read_markers_csv, "", "is empty"),
