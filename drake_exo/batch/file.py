@@ -287,6 +287,12 @@ def changed_text(path: Path, cls: type, changes: Mapping[str, Any]) -> str:
             place = _step(path, key, place, part)
         _step(path, key, place, last)
         place[_index(place, last)] = value
+    several = tree.get("loads")
+    for load in (tree.get("load"), *(several if type(several) is list else ())):
+        # Looked for beside a case, and this one is written elsewhere.
+        if type(load) is dict and type(load.get("recording")) is str:
+            study = path.parent / load["recording"]
+            load["recording"] = os.path.abspath(study)
     return yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, width=80)
 
 
@@ -422,8 +428,8 @@ def tasks_of(batch: BatchFile, folder: Path) -> list[Task]:
         # A laboratory's files lie beside its own study.
         start = root if entry.seed is None else None
         for changes in _variants(batch, entry in soles):
-            base = start or (entry.path.parent if entry.path else folder)
-            own = digests.get(entry, {}) | _named(changes, base)
+            beside = entry.path.parent if entry.path else folder
+            own = digests.get(entry, {}) | _named(changes, beside, start)
             for step in steps:
                 task = _task(batch, entry, changes, step, start)
                 keys = [tasks[name].key for name in task.needs.values()]
@@ -529,14 +535,23 @@ def _digests(path: Path, root: Path | None) -> dict[str, str]:
     found = {"": _digest(path)}
     try:
         tree = yaml.load(read_bytes(path), Loader=_Loader)
+        return found | _named(tree, path.parent, root)
     except (InputError, yaml.YAMLError, ValueError, RecursionError):
         return found  # its task says what is wrong
-    return found | _named(tree, path.parent if root is None else root)
 
 
-def _named(tree, base: Path) -> dict[str, str]:
-    """Digests of files that words of a tree name, from a folder."""
-    found = {word: _digest(base / word) for word in sorted(set(_words(tree)))}
+def _named(tree, beside: Path, root: Path | None = None) -> dict[str, str]:
+    """Digests of files that words of a tree name, from a root or beside it.
+
+    And of what a study names that is itself named: a case's recordings are
+    those of a study beside it.
+    """
+    words = sorted(set(_words(tree)))
+    found = {word: _digest((root or beside) / word) for word in words}
+    for word in words:
+        if word.endswith((".yaml", ".yml")):
+            named = _digests(beside / word, root)
+            found |= {f"{word} {name}": own for name, own in named.items()}
     return {word: digest for word, digest in found.items() if digest}
 
 

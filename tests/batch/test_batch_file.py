@@ -302,3 +302,30 @@ def test_case_files_too(tmp_path):
     text = changed_text(path, Settings, {"contact.friction": 0.5})
     assert schema.load_text(text, Settings).contact.friction == 0.5
     assert yaml.safe_load(text)["name"] == "example"
+
+
+@pytest.mark.parametrize("root", ["", "data_root: data\n"])
+def test_recordings_of_a_case_count(folder, root):
+    """They are named by a study beside the case, wherever its data are."""
+    place = folder / "data" if root else folder / "anna"
+    place.mkdir(exist_ok=True)
+    (place / "a.trc").write_text("1")
+    case = "load: {recording: ../anna/study.yaml}\n"
+    (folder / "bert" / "sole.yaml").write_text(case)
+    text = f"steps: [sole simulate]\ncases: [bert/sole.yaml]\n{root}"
+    first = keys(folder, text)
+    (place / "a.trc").write_text("2")
+    assert keys(folder, text) != first
+
+
+def test_a_swept_case_finds_its_recording(tmp_path):
+    """It is written elsewhere."""
+    path = tmp_path / "case.yaml"
+    path.write_text(
+        "name: s\nmesh: {brick: {size_m: [0.3, 0.1, 0.03], "
+        "divisions: [2, 2, 2]}}\nmaterial: {name: neoprene}\n"
+        "load: {recording: study.yaml, trial: walk, foot: left}\n"
+    )
+    for changes in ({"contact.friction": 0.5}, {"load.trial": "run"}):
+        load = yaml.safe_load(changed_text(path, Settings, changes))["load"]
+        assert load["recording"] == str(tmp_path / "study.yaml")
