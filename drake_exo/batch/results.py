@@ -13,7 +13,6 @@ import csv
 import html
 import io
 import json
-import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, fields
@@ -37,6 +36,7 @@ from drake_exo.files.output import (
     STYLE,
     mark_of,
     read_json,
+    replace_file,
     save_figure,
     write_json,
 )
@@ -245,13 +245,6 @@ def write_table(folder: Path, rows: list[Row]) -> list[str]:
     pyarrow.parquet.write_table(table, sink)
     replace_file(folder / "results.parquet", sink.getvalue().to_pybytes())
     return ["results.csv", "results.parquet"]
-
-
-def replace_file(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all."""
-    draft = path.with_name(path.name + ".tmp")
-    draft.write_bytes(data)
-    os.replace(draft, path)
 
 
 LARGEST_BYTES = 20_000_000

@@ -279,7 +279,6 @@ def write_json(path: str | Path, obj: Any) -> None:
     Dataclasses, numpy arrays and scalars, paths, tuples and sets are
     understood. JSON has no NaN nor infinity: they become null.
     """
-    path = Path(path)
     text = json.dumps(
         _jsonable(obj),
         sort_keys=True,
@@ -288,13 +287,17 @@ def write_json(path: str | Path, obj: Any) -> None:
         allow_nan=False,
         default=os.fspath,
     )
+    replace_file(Path(path), f"{text}\n".encode())
+
+
+def replace_file(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all."""
     draft = path.with_name(path.name + ".tmp")
     try:
-        draft.write_text(text + "\n", encoding="utf-8")
+        draft.write_bytes(data)
         os.replace(draft, path)
-    except OSError:
+    finally:
         draft.unlink(missing_ok=True)
-        raise
 
 
 def write_csv(path: Path, columns: dict[str, Sequence]) -> None:

@@ -15,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from drake_exo.files.output import replace_file
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -161,7 +163,8 @@ def write_page(
     head = head.replace(
         "<title>Drake MeshCat</title>", f"<title>{_text(page.title)}</title>"
     )
-    Path(path).write_text(head + inserted + body_end + tail, encoding="utf-8")
+    text = head + inserted + body_end + tail
+    replace_file(Path(path), text.encode())
 
 
 _BAR = """<div class="player" id="player-bar">

@@ -1,3 +1,5 @@
+import resource
+
 import numpy as np
 import pytest
 from page_reader import clip_titles, player_data
@@ -83,3 +85,18 @@ def test_wrong_clip_is_refused(change, words):
 def test_page_without_clips_is_refused(tmp_path):
     with pytest.raises(ValueError, match="at least one clip"):
         write_page(tmp_path / "page.html", BARE, PAGE, [])
+
+
+def test_a_page_stays_where_another_one_does_not_fit(tmp_path):
+    path = tmp_path / "page.html"
+    write_page(path, BARE, PAGE, [clip()])
+    before = path.read_bytes()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            write_page(path, BARE, PAGE, [clip(note="another")])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
