@@ -373,10 +373,12 @@ class RecordedStudy(Study):
         self._judged: set[str] = set()
 
     def __setattr__(self, name: str, value: object) -> None:
-        if name in ("model", "filter", "device"):
+        again = name in ("file", "root") and name in vars(self)
+        if again or name in ("model", "filter", "device"):
             raise AttributeError(
                 f"recordings are read with the study file's {name}: change it "
-                "there, or in drake_exo.Study(...) of the trials"
+                "there and read it anew, or in drake_exo.Study(...) of the "
+                "trials"
             )
         super().__setattr__(name, value)
 

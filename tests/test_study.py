@@ -201,7 +201,7 @@ def test_a_study_in_python_is_checked_as_its_file():
 def test_what_recordings_were_read_with_is_the_files():
     """Set afterwards, it would be told of trials that had another."""
     study = dx.read_study(STUDY)
-    for name in ("filter", "device", "model"):
+    for name in ("filter", "device", "model", "file", "root"):
         with pytest.raises(AttributeError, match=f"study file's {name}"):
             setattr(study, name, None)
     assert study.filter == study.file.filter
