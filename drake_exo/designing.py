@@ -17,7 +17,7 @@ from drake_exo.calibration.design_cuffs import fewer
 from drake_exo.calibration.design_result import DesignResult, works
 from drake_exo.calibration.design_variables import GAINS, design_of
 from drake_exo.calibration.phases import check_has_cuffs, check_knows_cuffs
-from drake_exo.calibration.problem import PhaseResult
+from drake_exo.calibration.problem import solved
 from drake_exo.calibration.settings import (
     DesignLimits,
     DesignSettings,
@@ -302,7 +302,7 @@ def movements(
         if today is not None:
             who, own = today
             answers[trial.name] = answer(trial, who, own[k].trial, design)
-        result = _solved(
+        result = solved(
             OwnMovement(
                 design.model(study.model),
                 [_assisted(study, trial, contact, design)],
@@ -380,19 +380,7 @@ def how_it_was(
     """
     problem = OwnMovement(model, [trial], contact, settings, seen=True)
     why = f"trial {trial.name}: encoders and markers do not fit these cuffs"
-    return _solved(problem, why).trials[0]
-
-
-def _solved(problem: OwnMovement, why: str) -> PhaseResult:
-    """Its solution; InputError that says why where there is none."""
-    result = problem.solve()
-    if result.solution.was_stopped:
-        raise KeyboardInterrupt
-    if not result.success:
-        raise InputError(
-            f"{why} ({result.solution.status}); {result.solution.explain()}"
-        )
-    return result
+    return solved(problem, why).trials[0]
 
 
 def built(

@@ -112,6 +112,27 @@ class PhaseResult:
         return [self.values[indices(m.ground)] for m in self.problem.movements]
 
 
+def solved(
+    problem: "PhaseProblem",
+    why: str,
+    on_iterate: Callable[[Iterate], None] | None = None,
+) -> PhaseResult:
+    """What a phase found, where nothing can go on without.
+
+    Raises:
+        InputError: it says why, where there is none.
+        KeyboardInterrupt: the user stopped it.
+    """
+    result = problem.solve(on_iterate=on_iterate)
+    if result.success:
+        return result
+    if result.solution.was_stopped:
+        raise KeyboardInterrupt
+    raise InputError(
+        f"{why} ({result.solution.status}); {result.solution.explain()}"
+    )
+
+
 class Compiles:
     """What poses movements in a program, for a sparse solver.
 

@@ -24,6 +24,7 @@ from drake_exo.calibration.problem import (
     PhaseProblem,
     ground_terms,
     kinematic_terms,
+    solved,
     torque_terms,
 )
 from drake_exo.calibration.settings import (
@@ -679,13 +680,11 @@ def sized(
         own = replace(model, human=body, exoskeleton=device)
         contact = size.contact(wearer.contact, ankle)
         trials = [size.trial(t, own, ankle) for t in wearer.trials]
-        moved = OwnMovement(own, trials, contact, settings).solve()
-        if not moved.success:
-            raise InputError(
-                f"design.population: {size.name} cannot make the movements of "
-                f"{wearer.name} ({moved.solution.explain()}); choose "
-                "percentiles nearer to 50"
-            )
+        moved = solved(
+            OwnMovement(own, trials, contact, settings),
+            f"design.population: {size.name} cannot make the movements of "
+            f"{wearer.name}; choose percentiles nearer to 50",
+        )
         found.append(
             replace(
                 wearer,

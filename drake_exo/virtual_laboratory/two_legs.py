@@ -21,7 +21,7 @@ import yaml
 from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
 
 from drake_exo.calibration.phases import PeriodicStep, mirrored
-from drake_exo.calibration.problem import ground_terms
+from drake_exo.calibration.problem import ground_terms, solved
 from drake_exo.calibration.settings import (
     InteractionNoise,
     PredictionSettings,
@@ -606,12 +606,12 @@ def plan_walk(
     )
     near = template(model.tree, soles, plan)
     problem = _Step(model, [near], contact, settings)
-    result = problem.solve(on_iterate=SolveWatch(f"{title}, step"))
-    if not result.success:
-        raise InputError(
-            f"{title}: no step of {plan.speed_m_s:.2f} m/s was found for this "
-            "person and device; give another seed, or a lighter device"
-        )
+    result = solved(
+        problem,
+        f"{title}: no step of {plan.speed_m_s:.2f} m/s was found for this "
+        "person and device; give another seed, or a lighter device",
+        SolveWatch(f"{title}, step"),
+    )
     return repeated(result.trials[0], plan.steps, plan.after_s)
 
 

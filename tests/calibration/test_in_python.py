@@ -1,5 +1,7 @@
 """What somebody does in a notebook: programs added to, trials by hand."""
 
+import os
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +10,7 @@ from undrawn import undrawn
 
 import drake_exo as dx
 from drake_exo.calibration.phases import FootGroundCalibration
+from drake_exo.calibration.problem import solved
 from drake_exo.calibration.results import read_calibration, read_model
 from drake_exo.contact.parameters import Posterior
 from drake_exo.errors import InputError
@@ -284,3 +287,17 @@ def test_what_a_callback_raises_ends_the_solve(posed):
     with pytest.raises(BrokenPipeError):
         posed.solve(on_iterate=tell)
     assert told == [0, 1, 2]
+
+
+def test_a_stopped_solve_is_no_mistake_of_the_input(posed):
+    """Where nothing can go on without it, it is Ctrl-C that is told."""
+
+    def stop(iterate):
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        solved(posed, "it does not fit", stop)
+    knee = _knee(posed)
+    posed.program.prog.AddBoundingBoxConstraint(50.0, 51.0, knee)
+    with pytest.raises(dx.InputError, match=r"it does not fit \("):
+        solved(posed, "it does not fit")

@@ -253,7 +253,7 @@ def test_contact_of_another_body_is_where_its_sole_is(wearer, law, power):
 def as_given(model, trials, contact, settings):
     """An own movement that is not solved."""
     result = SimpleNamespace(success=True, trials=trials)
-    return SimpleNamespace(solve=lambda: result)
+    return SimpleNamespace(solve=lambda on_iterate: result)
 
 
 def test_a_population_has_its_heights_and_masses(wearer, monkeypatch):

@@ -419,8 +419,11 @@ def test_a_walk_is_made_of_the_step_that_was_found(subject, step, monkeypatch):
     """Searched at the plan's speed, on soles that a search can follow."""
     asked = []
     moments = np.ones((len(step.times), len(step.coordinates.joints)))
+    solution = SimpleNamespace(was_stopped=False, status="", explain=lambda: "")
     found = SimpleNamespace(
-        success=True, trials=[replace(step, moments=moments), None]
+        success=True,
+        solution=solution,
+        trials=[replace(step, moments=moments), None],
     )
 
     def problem(model, trials, contact, settings):
