@@ -124,6 +124,8 @@ class Designed:
         inputs: checks of the studies and calibrations that it is made of.
         tried: designs with removable cuffs left out in turn, the one with
             every cuff first; empty where none is removable.
+        stopped: whether the user ended what comes after a design: fewer
+            cuffs, or parts.
     """
 
     settings: DesignSettings
@@ -138,6 +140,7 @@ class Designed:
     seen: dict[str, Sequence[Trial]] = field(default_factory=dict, repr=False)
     inputs: tuple[Check, ...] = ()
     tried: tuple[Tried, ...] = ()
+    stopped: bool = False
 
     @property
     def solution(self) -> Solution:

@@ -53,6 +53,7 @@ from drake_exo.files import schema
 from drake_exo.files.output import Progress
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
+from drake_exo.nlp.ipopt import STOPPED_BY_USER
 from drake_exo.study import Calibration, Study
 
 # Mats and model differ by no more than this factor, or one of them is wrong.
@@ -144,10 +145,16 @@ def design(
     if not tried:
         forecast(found)
     after = built[found.problem.without]
-    made = Designed(settings, today, found, before, after, tried=tuple(tried))
-    if parts:
-        made = replace(made, parts=_parts(made))
-    return made
+    made = Designed(
+        settings,
+        today,
+        found,
+        before,
+        after,
+        tried=tuple(tried),
+        stopped=any(t.why_not == STOPPED_BY_USER for t in tried),
+    )
+    return _with_parts(made) if parts and not made.stopped else made
 
 
 def wearer(
@@ -421,39 +428,33 @@ _KINDS = {
 }
 
 
-def _parts(made: Designed) -> dict[str, float]:
-    """Norm of the forces that each kind of variable reaches alone [N]."""
-    problem = made.found.problem
+def _with_parts(made: Designed) -> Designed:
+    """With the norm of the forces that each kind of variable reaches alone."""
     reached = {"nothing": made.today.norm_n}
-    for kind in _KINDS:
-        alone = _alone(made, kind)
-        if alone.solution.was_stopped:
-            return reached | {"all": made.found.norm_n}
-        if alone.solution.success:
-            reached[f"{kind} alone"] = alone.norm_n
-    if problem.without:
-        alone = DesignProblem(
-            problem.wearers,
-            made.settings,
-            held=True,
-            today=made.today,
-            without=problem.without,
-        ).solve(on_iterate=SolveWatch("fewer cuffs alone"))
-        if alone.solution.success:
-            reached["fewer cuffs alone"] = alone.norm_n
-    return reached | {"all": made.found.norm_n}
+    fewer = ("fewer cuffs",) if made.found.problem.without else ()
+    for kind in (*_KINDS, *fewer):
+        found = _alone(made, kind)
+        if found.solution.was_stopped:
+            made = replace(made, stopped=True)
+            break
+        if found.solution.success:
+            reached[f"{kind} alone"] = found.norm_n
+    return replace(made, parts=reached | {"all": made.found.norm_n})
 
 
 def _alone(made: Designed, kind: str) -> DesignResult:
-    """The design with one kind of variable free."""
+    """The design with one kind of variable free, or with fewer cuffs alone."""
     problem = made.found.problem
-    held = {
-        v.name: v.today
-        for v in made.today.problem.design
-        if not v.name.partition(".")[2].startswith(_KINDS[kind])
-    }
+    how = {"held": True, "without": problem.without}
+    if kind in _KINDS:
+        held = {
+            v.name: v.today
+            for v in made.today.problem.design
+            if not v.name.partition(".")[2].startswith(_KINDS[kind])
+        }
+        how = {"held": held}
     return DesignProblem(
-        problem.wearers, made.settings, held=held, today=made.today
+        problem.wearers, made.settings, today=made.today, **how
     ).solve(on_iterate=SolveWatch(f"{kind} alone"))
 
 

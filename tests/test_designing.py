@@ -1,6 +1,8 @@
 """`dx.design` and the command: forecast, files, verdict, refusals."""
 
 import json
+import os
+import signal
 from dataclasses import replace
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -86,6 +88,18 @@ def test_no_kind_of_variable_alone_costs_less_than_all(found, kind):
     assert alone.solution.success
     assert alone.norm_n == pytest.approx(found.parts[f"{kind} alone"])
     assert alone.solution.objective > found.found.solution.objective
+
+
+@pytest.mark.slow
+def test_a_design_stays_where_its_parts_are_stopped(found, monkeypatch):
+    class Stopping(designing.SolveWatch):
+        def __call__(self, iterate):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(designing, "SolveWatch", Stopping)
+    made = designing._with_parts(found)
+    assert made.success and made.stopped and not found.stopped
+    assert list(made.parts) == ["nothing", "all"]
 
 
 @pytest.mark.slow

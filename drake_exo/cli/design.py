@@ -124,11 +124,11 @@ def run(args: argparse.Namespace) -> int:
         if not made.success:
             kept = "Its verdict is written, marked as failed, without a design."
             return folder.end(report_failure(made.solution, kept))
-        if laboratory is not None:
+        if laboratory is not None and not made.stopped:
             made = _built(made, studies[0], laboratory, out)
             verdict = made.write(out, args.accept)
         print(made.table())
-        stopped = args.front and not _write_front(made, out)
+        stopped = made.stopped or (args.front and not _write_front(made, out))
         print(verdict.text())
         folder.end(STOPPED_CODE if stopped else verdict.exit_code)
     print(f"results in {folder.path}")
