@@ -82,16 +82,14 @@ def random_starts(made: RisesInDevice, count: int) -> dict:
     )
     problem = made.calibration(settings, measured(made))
     objectives, iterations = [problem.solve().solution.objective], []
-    with Progress("random starts", count, stream=sys.stderr) as progress:
-        for k, values in enumerate(
-            random_values(problem.parameters, count, seed=0)
-        ):
-            solution = problem.solve(problem.guess(values)).solution
-            objectives.append(
-                solution.objective if solution.success else np.inf
-            )
-            iterations.append(solution.iterations)
-            progress.update(f"{objectives[-1]:.8g}", done=k + 1)
+    progress = Progress("random starts", count, stream=sys.stderr)
+    for k, values in enumerate(
+        random_values(problem.parameters, count, seed=0)
+    ):
+        solution = problem.solve(problem.guess(values)).solution
+        objectives.append(solution.objective if solution.success else np.inf)
+        iterations.append(solution.iterations)
+        progress.update(f"{objectives[-1]:.8g}", done=k + 1)
     best = min(objectives)
     return {
         "problem": "B from random starts",

@@ -493,15 +493,13 @@ def main() -> None:
         data = Path(args.data or scratch)
         for kind in args.truth:
             rows = []
-            with Progress(
-                kind, total=len(seeds), stream=sys.stderr
-            ) as progress:
-                for seed in seeds:
-                    # The laboratory tells its progress, too.
-                    with contextlib.redirect_stdout(sys.stderr):
-                        campaign = _campaign(data, kind, seed)
-                    rows.append(run(campaign, seed, chosen))
-                    progress.update(f"seed {seed}", done=len(rows))
+            progress = Progress(kind, total=len(seeds), stream=sys.stderr)
+            for seed in seeds:
+                # The laboratory tells its progress, too.
+                with contextlib.redirect_stdout(sys.stderr):
+                    campaign = _campaign(data, kind, seed)
+                rows.append(run(campaign, seed, chosen))
+                progress.update(f"seed {seed}", done=len(rows))
             found[kind] = {"rows": rows, **summary(rows, chosen)}
             if not args.json:
                 print(text_of(kind, found[kind]), flush=True)

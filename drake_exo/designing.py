@@ -326,7 +326,6 @@ def movements(
         )
         found.append(Moved(result.trials[0], bands(result), trial, seen))
         progress.update(trial.name, len(found))
-    progress.close()
     return found
 
 

@@ -12,6 +12,7 @@ from drake_exo.files.output import (
     joined_mark,
     prepare_output_folder,
     save_figure,
+    write_text,
 )
 from drake_exo.report.gathering import compare
 
@@ -30,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
         with prepare_output_folder(
             args.out, args.force, reads=args.results
         ) as out:
-            (out / "compared.txt").write_text(text + "\n", encoding="utf-8")
+            write_text(out / "compared.txt", text)
             mark = joined_mark(found.marks())
             for name, figure in found.figures().items():
                 save_figure(out / f"{name}.png", figure, mark)

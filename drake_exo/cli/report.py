@@ -11,7 +11,7 @@ import csv
 from pathlib import Path
 
 from drake_exo.cli import add_accept, add_out
-from drake_exo.files.output import prepare_output_folder
+from drake_exo.files.output import prepare_output_folder, write_text
 from drake_exo.papers.serrancoli import draw_figures, tables
 from drake_exo.report.gathering import Results, check_one_study, gather
 
@@ -55,7 +55,5 @@ def write_report(folder: Path, found: list[Results]) -> None:
             csv.writer(file, lineterminator="\n").writerows(rows)
     for text in texts:
         print(text)
-    (folder / "tables.txt").write_text(
-        "\n\n".join(texts) + "\n", encoding="utf-8"
-    )
+    write_text(folder / "tables.txt", "\n\n".join(texts))
     draw_figures(folder, found)

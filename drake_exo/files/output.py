@@ -440,8 +440,7 @@ def _jsonable(value: Any) -> Any:
 class Progress:
     """Progress of one job: a line now and then, to a terminal or a pipe.
 
-    Nothing is printed for jobs shorter than `interval_seconds`, except what
-    `close` is given to say.
+    Nothing is printed for jobs shorter than `interval_seconds`.
 
     Args:
         title: begins every line.
@@ -467,40 +466,22 @@ class Progress:
         self._clock = clock
         self._start = self._last = clock()
 
-    @property
-    def elapsed_seconds(self) -> float:
-        """Seconds since the job began."""
-        return self._clock() - self._start
-
     def update(self, text: str = "", done: int | None = None) -> bool:
         """Print a line if the last one is old enough; True if printed."""
         if self._clock() - self._last < self.interval_seconds:
             return False
-        self._print(text, done)
-        return True
-
-    def close(self, text: str = "") -> None:
-        """End the job; prints `text`, if any, in every case."""
-        if text:
-            self._print(text, None)
-
-    def __enter__(self) -> Progress:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()
-
-    def _print(self, text: str, done: int | None) -> None:
         self._last = self._clock()
         count = ""
         if done is not None:
             count = f"{done}/{self.total}" if self.total else f"{done}"
         parts = [p for p in (count, text) if p]
+        seconds = self._last - self._start
         print(
-            f"{self.title}: {', '.join(parts)} ({self.elapsed_seconds:.1f} s)",
+            f"{self.title}: {', '.join(parts)} ({seconds:.1f} s)",
             file=self._stream or sys.stdout,
             flush=True,
         )
+        return True
 
 
 if TYPE_CHECKING:  # matplotlib takes half a second to load

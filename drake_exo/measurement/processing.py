@@ -407,10 +407,8 @@ def _follow(
     inside = slice(first, first + len(time))
     points = frame.points(markers.of(model.names))[inside]
     hidden = gaps.hidden(model.names)[inside]
-    with Progress(
-        f"inverse kinematics of {Path(markers.source).name}"
-    ) as progress:
-        poses = solve_poses(model, points, markers.source, progress, hidden)
+    progress = Progress(f"inverse kinematics of {Path(markers.source).name}")
+    poses = solve_poses(model, points, markers.source, progress, hidden)
     ankles = ankle_paths(model, poses)
     q = coordinates(subject.model, model, poses)
 

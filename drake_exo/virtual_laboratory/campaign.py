@@ -407,11 +407,11 @@ def write_campaign(
     active = checked(disturbances) - (set() if truth == "wide" else set(WIDE))
     job = Campaign(Path(folder), seed, active, files, truth, design)
     (job.folder / "truth").mkdir(parents=True, exist_ok=True)
-    with Progress(
+    progress = Progress(
         "virtual laboratory", len(movements), interval_seconds=2.0
-    ) as progress:
-        mats = job.prepare(progress)
-        entries = _recorded(job, movements, processes, progress)
+    )
+    mats = job.prepare(progress)
+    entries = _recorded(job, movements, processes, progress)
     path = job.folder / "study.yaml"
     write_study(path, job.truth, job.laboratory, mats, entries)
     return path

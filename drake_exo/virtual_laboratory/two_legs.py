@@ -208,12 +208,12 @@ def write_movements(
         Faults(encoder_offset_rad=(0.0,)),
         WALKWAY_M if movement == "walk" else 0.0,
     )
-    with Progress("virtual laboratory", trials, interval_seconds=2.0) as tell:
-        mats = _stand(subject, laboratory, seed, tell)
-        entries = [
-            _record(subject, laboratory, movement, left_share, seed, i, tell)
-            for i in range(trials)
-        ]
+    tell = Progress("virtual laboratory", trials, interval_seconds=2.0)
+    mats = _stand(subject, laboratory, seed, tell)
+    entries = [
+        _record(subject, laboratory, movement, left_share, seed, i, tell)
+        for i in range(trials)
+    ]
     about = {"seed": seed, "disturbances": active, "left_share": left_share}
     write_parameters(folder / "truth", subject.truth, about)
     path = folder / "study.yaml"
