@@ -100,11 +100,14 @@ class Ended:
         """What the function returned.
 
         Raises:
-            InputError: as the function did.
+            InputError: as the function did; or its process was killed each
+                time, for want of memory perhaps.
             RuntimeError: whatever else ended it.
         """
         if self.state == "failed" and not self.trace:
             raise InputError(self.error)
+        if self.state in ("lost", "memory"):
+            raise InputError(f"{self.name}: {self.error}")
         if self.state != "done":
             raise RuntimeError(f"{self.name}: {self.error}\n{self.trace}")
         return self.value

@@ -164,8 +164,13 @@ def test_what_a_job_came_to():
     assert Ended("a", "done", 3).result() == 3
     with pytest.raises(InputError, match="wrong; mend it"):
         Ended("a", "failed", error="wrong; mend it").result()
-    for state, trace in (("failed", "in fail"), ("lost", ""), ("skipped", "")):
-        with pytest.raises(RuntimeError, match="a: no end"):
+    for state, trace, error in (
+        ("failed", "in fail", RuntimeError),
+        ("skipped", "", RuntimeError),
+        ("lost", "", InputError),  # a command says so in a sentence
+        ("memory", "", InputError),
+    ):
+        with pytest.raises(error, match="a: no end"):
             Ended("a", state, error="no end", trace=trace).result()
 
 
