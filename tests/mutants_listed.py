@@ -268,8 +268,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     ],
     "drake_exo/contact/reduction.py": [
         (
-            "np.linalg.pinv(information) * 2 * best.cost / spare",
-            "np.linalg.pinv(information) * best.cost / spare",
+            "np.sqrt(variance * 2 * best.cost / spare)",
+            "np.sqrt(variance * best.cost / spare)",
         ),
     ],
     "drake_exo/model/description.py": [

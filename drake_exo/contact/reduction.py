@@ -402,17 +402,21 @@ def reduce_sole(
     best = min(fits, key=lambda found: found.cost)
     found = unpacked(best.x)
     half = np.zeros((spheres, 4))
-    half[:, columns] = _deviations(best)[1:].reshape(spheres, -1)
+    width = np.minimum(_SD * _deviations(best), high - low)
+    half[:, columns] = width[1:].reshape(spheres, -1)
     told = _combined(*forces(samples, *found))
-    return Reduction(samples, planar, *found, _SD * half * scale, *told)
+    return Reduction(samples, planar, *found, half * scale, *told)
 
 
 def _deviations(best) -> np.ndarray:
-    """Gauss–Newton's, the residuals' own scatter as the noise."""
-    information = best.jac.T @ best.jac
+    """Gauss–Newton's, the residuals' own scatter as the noise.
+
+    Large where nothing is told, as of a sphere that never touches.
+    """
+    told, ways = np.linalg.eigh(best.jac.T @ best.jac)
     spare = max(len(best.fun) - len(best.x), 1)
-    covariance = np.linalg.pinv(information) * 2 * best.cost / spare
-    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    variance = ways**2 @ (1 / np.maximum(told, 1e-15 * told.max()))
+    return np.sqrt(variance * 2 * best.cost / spare)
 
 
 def _in_plane(samples: Samples) -> Samples:

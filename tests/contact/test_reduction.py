@@ -305,6 +305,8 @@ def test_intervals_are_those_of_least_squares():
     variance = np.sum(fun**2) / (40 - 7)
     sd = np.sqrt(variance * np.diag(np.linalg.inv(J.T @ J)))
     np.testing.assert_allclose(reduction._deviations(best), sd)
+    best.jac = J * (np.arange(7) != 2)  # nothing is told of the third
+    assert reduction._deviations(best)[2] > 1e5 * sd.max()
 
 
 @pytest.mark.parametrize("planar", [True, False], ids=["plane", "space"])
