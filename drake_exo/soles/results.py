@@ -279,9 +279,10 @@ class Step:
     def zmp_error(self) -> float:
         """Distance of the ZMP from the load's, RMS of what converged [m].
 
-        Zero but where the pose is prescribed.
+        Of prescribed poses: where they are free it is the load's.
         """
-        off = (self.zmp - self.setup.load.zmp)[self.converged]
+        load = self.setup.load
+        off = (self.zmp - load.zmp)[self.converged & load.is_measured]
         return float(np.sqrt((off**2).sum(axis=1).mean())) if len(off) else 0.0
 
     @property

@@ -143,11 +143,11 @@ def test_forces_in_kilonewtons_and_times_in_milliseconds_are_told():
     assert not late.holds and "250 s" in late.sentence
 
 
-def _step(F, P, converged=None, ground=FLAT, zmp=None):
+def _step(F, P, converged=None, ground=FLAT, zmp=None, measured=True):
     """A step of made-up forces (N, m, 3) at places."""
     count = len(F)
     zmp = np.zeros((count, 2)) if zmp is None else np.asarray(zmp, float)
-    load = SimpleNamespace(zmp=zmp)
+    load = SimpleNamespace(zmp=zmp, is_measured=np.full(count, measured))
     setup = SimpleNamespace(load=load, ground=ground)
     good = np.ones(count, bool) if converged is None else converged
     history = SimpleNamespace(
@@ -177,13 +177,16 @@ def test_the_zmp_of_forces_at_heights():
     assert np.isnan(none.zmp).all()
 
 
-def test_the_zmp_s_error_is_the_rms_of_what_converged():
-    up = np.tile([0, 0, 10.0], (3, 1, 1))
-    P = np.array([[[0.03, 0.04, 0]], [[0.0, 0.01, 0]], [[9.0, 9.0, 0]]])
-    step = _step(up, P, np.array([True, True, False]))
+def test_the_zmp_s_error_is_the_rms_of_prescribed_poses_that_converged():
+    up = np.tile([0, 0, 10.0], (4, 1, 1))
+    P = np.array(
+        [[[0.03, 0.04, 0]], [[0.0, 0.01, 0]], [[9.0, 9, 0]], [[0] * 3]]
+    )
+    good, measured = np.array([[1, 1, 0, 1], [1, 1, 1, 0]], bool)
+    step = _step(up, P, good, measured=measured)
     wanted = np.sqrt((0.05**2 + 0.01**2) / 2)
     assert step.zmp_error == pytest.approx(wanted)
-    assert _step(up, P, np.zeros(3, bool)).zmp_error == 0.0
+    assert _step(up, P, np.zeros(4, bool)).zmp_error == 0.0
 
 
 @pytest.fixture(scope="module")
