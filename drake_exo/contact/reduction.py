@@ -176,7 +176,7 @@ class SoleLaw:
             model: with toes that do not bend. Its one leg stands for two,
                 which wear two soles.
             at_m: the sole frame's origin (x, z) in the foot [m]; by default
-                the sole lies in the middle of the foot's own spheres, its
+                it lies in the middle of the foot's own spheres, the sole's
                 bottom on the floor of the standing trial.
 
         Raises:
