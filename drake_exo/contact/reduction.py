@@ -62,12 +62,9 @@ class Samples:
     @property
     def depth(self) -> float:
         """How far the undeformed sole's corners get into the ground [m]."""
-        x, y, z = self.size
-        corners = np.array(
-            [[i * x / 2, j * y / 2, -z] for i in (-1, 1) for j in (-1, 1)]
-        )
-        corners[:, :2] += self.middle
-        lowest = self.origin[:, 2, None] + self.rotation[:, 2] @ corners.T
+        (x, y, z), up = self.size, self.rotation[:, 2]
+        lowest = self.origin[:, 2] + up @ [*self.middle, -z]
+        lowest = lowest - np.abs(up[:, :2]) @ [x / 2, y / 2]
         return float(max(-lowest.min(), 1e-6))
 
 
