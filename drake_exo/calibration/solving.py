@@ -157,8 +157,10 @@ def finer(result: PhaseResult) -> dict[str, np.ndarray]:
         first.
     """
     problem, found, fails = result.problem, {}, False
-    undamped = not problem.refined and any(
-        movement.may_alternate for movement in problem.movements
+    undamped = (
+        problem.damps
+        and not problem.refined
+        and any(movement.may_alternate for movement in problem.movements)
     )
     for i, (trial, movement) in enumerate(
         zip(problem.trials, problem.movements, strict=True)

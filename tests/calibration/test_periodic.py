@@ -265,3 +265,13 @@ def test_a_foot_that_stays_in_the_air_has_no_centre_of_pressure(model, step):
     (movement,) = FootGroundCalibration(model, [hop], settings).movements
     tracked = [np.isfinite(t.sigma).any() for t in movement.tracked]
     assert tracked.count(False) == 1
+
+
+def test_a_step_without_data_is_not_shaped_by_what_would_damp_it(model, step):
+    """On a refined grid its cost is still effort and jerk alone."""
+    settings = posed(model, step).settings
+    contact = nominal_contact(model)
+    finer = {step.name: 1}
+    own = PeriodicStep(model, [step], contact, settings, refined=finer)
+    assert own.movements[0].may_alternate
+    assert not len(own.movements[0].damped[0])

@@ -142,7 +142,9 @@ def test_a_grid_is_finer_where_forces_or_moments_miss(monkeypatch):
     grid = SimpleNamespace(parts=parts)
     movement = SimpleNamespace(grid=grid, may_alternate=False)
     trial = SimpleNamespace(name="rise")
-    problem = SimpleNamespace(refined={}, movements=[movement], trials=[trial])
+    problem = SimpleNamespace(
+        refined={}, movements=[movement], trials=[trial], damps=True
+    )
     result = SimpleNamespace(problem=problem)
     for force, moment, expected in (
         (0.9, 0.45, None),
@@ -161,7 +163,9 @@ def test_a_grid_is_finer_where_forces_or_moments_miss(monkeypatch):
     # What alternates is damped first, on the same grid.
     movement.may_alternate = True
     np.testing.assert_array_equal(solving.finer(result)["rise"], parts)
-    problem.refined = {"rise": parts}
+    problem.damps = False
+    np.testing.assert_array_equal(solving.finer(result)["rise"], [4, 4, 2, 2])
+    problem.damps, problem.refined = True, {"rise": parts}
     np.testing.assert_array_equal(solving.finer(result)["rise"], [4, 4, 2, 2])
 
 
