@@ -526,7 +526,7 @@ def code_digest() -> str:
     return found.hexdigest()
 
 
-def _digests(path: Path, root: Path | None) -> dict[str, str]:
+def _digests(path: Path, root: Path | None, on=True) -> dict[str, str]:
     """Of a study or case file and of every file that it names.
 
     Whatever text in it is the path of a file counts as one, so that a key
@@ -535,22 +535,22 @@ def _digests(path: Path, root: Path | None) -> dict[str, str]:
     found = {"": _digest(path)}
     try:
         tree = yaml.load(read_bytes(path), Loader=_Loader)
-        return found | _named(tree, path.parent, root)
+        return found | _named(tree, path.parent, root, on)
     except (InputError, yaml.YAMLError, ValueError, RecursionError):
         return found  # its task says what is wrong
 
 
-def _named(tree, beside: Path, root: Path | None = None) -> dict[str, str]:
+def _named(tree, beside: Path, root=None, on=True) -> dict[str, str]:
     """Digests of files that words of a tree name, from a root or beside it.
 
-    And of what a study names that is itself named: a case's recordings are
-    those of a study beside it.
+    And, to go `on`, of what a study names that is itself named: a case's
+    recordings are those of a study beside it.
     """
     words = sorted(set(_words(tree)))
     found = {word: _digest((root or beside) / word) for word in words}
     for word in words:
-        if word.endswith((".yaml", ".yml")):
-            named = _digests(beside / word, root)
+        if on and word.endswith((".yaml", ".yml")):
+            named = _digests(beside / word, root, on=False)
             found |= {f"{word} {name}": own for name, own in named.items()}
     return {word: digest for word, digest in found.items() if digest}
 

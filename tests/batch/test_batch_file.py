@@ -9,6 +9,7 @@ import yaml
 from drake_exo.batch.file import (
     SOLE_KEYS,
     BatchFile,
+    _digests,
     changed_text,
     check_key,
     entries,
@@ -316,6 +317,29 @@ def test_recordings_of_a_case_count(folder, root):
     first = keys(folder, text)
     (place / "a.trc").write_text("2")
     assert keys(folder, text) != first
+
+
+def test_a_swept_recording_counts_with_all_that_it_names(folder):
+    (folder / "case.yaml").write_text("load: {}")
+    text = (
+        "steps: [sole simulate]\ncases: [case.yaml]\n"
+        "sweep: {load.recording: [anna/study.yaml, bert/study.yaml]}"
+    )
+    first = keys(folder, text)
+    (folder / "anna" / "a.trc").write_text("2")
+    second = keys(folder, text)
+    assert [second[task] != first[task] for task in first] == [True, False]
+
+
+def test_files_that_name_each_other_come_to_an_end(tmp_path):
+    (tmp_path / "a.yaml").write_text("[a.yaml, b.yaml]")
+    (tmp_path / "b.yaml").write_text("[a.yaml, b.yaml]")
+    names = {"a.yaml", "b.yaml"}
+    assert set(_digests(tmp_path / "a.yaml", None)) == {""} | {
+        f"{name}{further}"
+        for name in names
+        for further in ("", " ", *(f" {other}" for other in names))
+    }
 
 
 def test_a_swept_case_finds_its_recording(tmp_path):
