@@ -14,6 +14,12 @@ an example in its own documentation.
 """
 
 import importlib
+import os
+
+# Before numpy loads its BLAS: matrices here are small, two threads are slower
+# than one where the cores have other work, and sums would depend on how many
+# cores there are.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 __version__ = "0.1.0"
 

@@ -8,11 +8,6 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-# Before numpy loads its BLAS: matrices here are small, two threads are slower
-# than one where the cores have other work, and sums would depend on how many
-# cores there are.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 from drake_exo import __version__
 from drake_exo.errors import InputError, first_line
 
