@@ -305,18 +305,21 @@ def test_case_files_too(tmp_path):
     assert yaml.safe_load(text)["name"] == "example"
 
 
-@pytest.mark.parametrize("root", ["", "data_root: data\n"])
+@pytest.mark.parametrize("root", ["", "data_root: data/all\n"])
 def test_recordings_of_a_case_count(folder, root):
     """They are named by a study beside the case, wherever its data are."""
-    place = folder / "data" if root else folder / "anna"
-    place.mkdir(exist_ok=True)
+    place = folder / ("data/all" if root else "anna")
+    place.mkdir(parents=True, exist_ok=True)
     (place / "a.trc").write_text("1")
     case = "load: {recording: ../anna/study.yaml}\n"
     (folder / "bert" / "sole.yaml").write_text(case)
     text = f"steps: [sole simulate]\ncases: [bert/sole.yaml]\n{root}"
     first = keys(folder, text)
     (place / "a.trc").write_text("2")
-    assert keys(folder, text) != first
+    second = keys(folder, text)
+    assert second != first
+    (folder / "anna" / "study.yaml").write_text("standing: {n: a.trc}\n")
+    assert keys(folder, text) != second
 
 
 def test_a_swept_recording_counts_with_all_that_it_names(folder):
