@@ -49,6 +49,30 @@ def hat(v: np.ndarray) -> np.ndarray:
     return out
 
 
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products row by row, (k, 3) or (c, k, 3).
+
+    Any axis but the last may be 1, or missing, in either.
+    """
+    out = _cross(*(x.reshape((1,) * (3 - x.ndim) + x.shape) for x in (a, b)))
+    return out if max(a.ndim, b.ndim) == 3 else out[0]
+
+
+@njit()
+def _cross(a, b):
+    out = np.empty(
+        (max(a.shape[0], b.shape[0]), max(a.shape[1], b.shape[1]), 3)
+    )
+    for c in range(out.shape[0]):
+        x, y = a[min(c, a.shape[0] - 1)], b[min(c, b.shape[0] - 1)]
+        for row in range(out.shape[1]):
+            i, j = min(row, len(x) - 1), min(row, len(y) - 1)
+            out[c, row, 0] = x[i, 1] * y[j, 2] - x[i, 2] * y[j, 1]
+            out[c, row, 1] = x[i, 2] * y[j, 0] - x[i, 0] * y[j, 2]
+            out[c, row, 2] = x[i, 0] * y[j, 1] - x[i, 1] * y[j, 0]
+    return out
+
+
 @njit()
 def multiply(a, b, out):
     """Product of 3 × 3 matrices, into out, for compiled code."""

@@ -7,6 +7,16 @@ from scipy.spatial.transform import Rotation
 from drake_exo.soles import numerics
 
 
+@pytest.mark.parametrize(
+    ("a", "b"),
+    [((7, 3), (7, 3)), ((4, 7, 3), (7, 3)), ((4, 1, 3), (1, 7, 3))],
+)
+def test_cross_products_broadcast(a, b):
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=a), rng.normal(size=b)
+    np.testing.assert_allclose(numerics.cross(x, y), np.cross(x, y))
+
+
 def test_products_of_matrices():
     a, b = np.random.default_rng(1).normal(size=(2, 3, 3))
     out = np.full((3, 3), 9.0)

@@ -11,6 +11,7 @@ import numpy as np
 from drake_exo.soles.contact.newton import ContactSolver, Start, Target
 from drake_exo.soles.elasticity import Sole, compliance_gradients
 from drake_exo.soles.loads import Load
+from drake_exo.soles.numerics import cross
 from drake_exo.soles.simulation import STABILITY_SCALE, StepHistory
 
 _NEGLIGIBLE = 1e-12  # of the largest derivative: samples left out
@@ -172,7 +173,7 @@ class _Step:
             if self.q in own.by_force:
                 pull = own.by_force[self.q][self.nodes] @ R.T
                 bF[i] += pull
-                b_w[i] -= np.cross(F, pull).sum(axis=0)
+                b_w[i] -= cross(F, pull).sum(axis=0)
             of_stiffness += [(i, *pair) for pair in own.pairs.get(self.q, ())]
         if of_stiffness:
             self._stiffness_terms(sums, of_stiffness, bP, bF, bQ, bA, b_w)
@@ -182,7 +183,7 @@ class _Step:
         bP_all = np.array([total.mu for total in sums])
         bP_all[:, self.nodes] += bP
         b_O = bP_all.sum(axis=1)
-        b_w += np.cross(self.Y, bP_all).sum(axis=1)
+        b_w += cross(self.Y, bP_all).sum(axis=1)
         by = bP_all @ R
         # The block of C that holds all of them: faster than gathering rows.
         there = np.append(np.flatnonzero(by.any(axis=(0, 2))), self.nodes)
@@ -191,14 +192,14 @@ class _Step:
         lift = by[:, a:b].reshape(c, -1) @ C
         lift = lift.reshape(c, -1, 3)[:, self.nodes - a] @ R.T
         bF += lift
-        b_w -= np.cross(F, lift).sum(axis=1)
+        b_w -= cross(F, lift).sum(axis=1)
         y, turned, l_w = self._adjoint(bF, b_O, b_w)
         l_f, l_m = l_w[:, :3], l_w[:, 3:]
         # The wrench about Z is Σ F − F_d and Σ (P − Z) × F.
-        about = np.cross(F.sum(axis=0)[None], l_m)
+        about = cross(F.sum(axis=0)[None], l_m)
         for i, total in enumerate(sums):
             total.load[self.q] -= [*l_f[i], *self._on_ground(about[i])]
-        by[:, self.nodes] += (y + np.cross(F, l_m[:, None])) @ R
+        by[:, self.nodes] += (y + cross(F, l_m[:, None])) @ R
         moved, turns = self.planes
         before = (bQ - y)[:, :, None] @ moved + (bA + turned)[
             :, :, None
@@ -227,7 +228,7 @@ class _Step:
 
     def _own_zmp_adjoint(self, by_point: np.ndarray) -> np.ndarray:
         """Multiplier (1, 3) of Σ (P − Z) × F, level and 0 at the own ZMP Z."""
-        turned = np.cross(self.lin.F.sum(axis=0)[None], np.eye(3)[:2])
+        turned = cross(self.lin.F.sum(axis=0)[None], np.eye(3)[:2])
         A = np.stack([self._on_ground(x) for x in turned], axis=1)
         return np.append(np.linalg.solve(A, by_point), 0.0)[None]
 
@@ -244,22 +245,22 @@ class _Step:
         shift, turn = v[:, None, :3], v[:, None, 3:]
         dF, dP = ((x @ v.T).transpose(2, 0, 1) for x in (self.dF, self.dP))
         # J_Fᵀ z = w_Fᵀ u with S w_Fᵀ u = S (u_f − arm × u_m) + F × u_m.
-        plain = u_f - np.cross(arm, u_m)
-        z, y, e = lin.solve_transposed(lin.times_S(plain) + np.cross(F, u_m))
+        plain = u_f - cross(arm, u_m)
+        z, y, e = lin.solve_transposed(lin.times_S(plain) + cross(F, u_m))
         r = lin.r
         d_tau = dF - r * dP
         p = lin.second_order(d_tau, z)
         tau = lin.tau_world
-        by_axes = np.cross(dF, z) - np.cross(d_tau, y) / r - np.cross(tau, p)
-        gg = dF - np.cross(turn, F)
-        R_du = dP - shift - np.cross(turn, arm)
-        b_dP = np.cross(F, u_m) - y
+        by_axes = cross(dF, z) - cross(d_tau, y) / r - cross(tau, p)
+        gg = dF - cross(turn, F)
+        R_du = dP - shift - cross(turn, arm)
+        b_dP = cross(F, u_m) - y
         # h = R C Rᵀ b_dP without a product with C.
         h = e - plain
-        by_arm = np.cross(dF, u_m) + np.cross(b_dP, turn)
+        by_arm = cross(dF, u_m) + cross(b_dP, turn)
         by_P = by_arm - r * p
-        by_F = np.cross(u_m, dP) + p - np.cross(h, turn)
-        by_turn = (np.cross(R_du, b_dP) - np.cross(gg, h)).sum(axis=1)
+        by_F = cross(u_m, dP) + p - cross(h, turn)
+        by_turn = (cross(R_du, b_dP) - cross(gg, h)).sum(axis=1)
         for i, functional in enumerate(owners):
             bP[functional] += by_P[i]
             # The arm is P − Z.
@@ -268,8 +269,8 @@ class _Step:
                 sums[functional].load[self.q, 3:] += by_point
             else:
                 level = self._own_zmp_adjoint(by_point)
-                bP[functional] += np.cross(F, level)
-                bF[functional] += np.cross(level, arm)
+                bP[functional] += cross(F, level)
+                bF[functional] += cross(level, arm)
             bF[functional] += by_F[i]
             bQ[functional] += r * p[i]
             bA[functional] += by_axes[i]
@@ -285,22 +286,20 @@ class _Step:
         """
         lin, F, arm = self.lin, self.lin.F, self.lin.arm
         tau, Z = lin.tau_world / lin.r, self.target.point
-        shifted = np.cross((self.state.O - Z)[None], b_O)
+        shifted = cross((self.state.O - Z)[None], b_O)
         b_p = np.concatenate([b_O, b_w + shifted], axis=1)
         Sb0 = -lin.times_S(bF)
         z0, y0, e0 = lin.solve_transposed(Sb0)
         W_y0 = -bF - e0
-        turned = np.cross(arm, y0) - np.cross(F, W_y0)
+        turned = cross(arm, y0) - cross(F, W_y0)
         J_pT = np.concatenate([y0.sum(axis=1), turned.sum(axis=1)], axis=1)
         if self.turn is not None:
-            J_pT[:, 3:] += self._by_turn(
-                -y0, np.cross(tau, y0) - np.cross(F, z0)
-            )
+            J_pT[:, 3:] += self._by_turn(-y0, cross(tau, y0) - cross(F, z0))
         asked, l_w = self.target.asked, np.zeros((len(b_p), 6))
         G = self.G[np.ix_(asked, asked)]
         l_w[:, asked] = np.linalg.solve(G.T, -(b_p + J_pT)[:, asked].T).T
         l_f, l_m = l_w[:, None, :3], l_w[:, None, 3:]
-        plain = l_f - np.cross(arm, l_m)
-        Sb = Sb0 - lin.times_S(plain) - np.cross(F, l_m)
+        plain = l_f - cross(arm, l_m)
+        Sb = Sb0 - lin.times_S(plain) - cross(F, l_m)
         z, y, _ = lin.solve_transposed(Sb)
-        return y, np.cross(tau, y) - np.cross(F, z), l_w
+        return y, cross(tau, y) - cross(F, z), l_w
