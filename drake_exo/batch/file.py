@@ -268,13 +268,22 @@ def _value(value: Any) -> str:
     return re.sub(r"[^\w.+-]", "_", text)
 
 
-def changed_text(path: Path, cls: type, changes: Mapping[str, Any]) -> str:
+def changed_text(
+    path: Path,
+    cls: type,
+    changes: Mapping[str, Any],
+    root: Path | None = None,
+) -> str:
     """Text of a study or case with all its keys, some of them changed.
+
+    It is written elsewhere: files have whole paths there, but for those that
+    start from a root.
 
     Args:
         path: of the file.
         cls: its dataclass.
         changes: dotted key -> value.
+        root: folder that its paths start from; None for the file's own.
 
     Raises:
         InputError: the file says something that is not allowed, or has no
@@ -287,13 +296,23 @@ def changed_text(path: Path, cls: type, changes: Mapping[str, Any]) -> str:
             place = _step(path, key, place, part)
         _step(path, key, place, last)
         place[_index(place, last)] = value
-    several = tree.get("loads")
-    for load in (tree.get("load"), *(several if type(several) is list else ())):
-        # Looked for beside a case, and this one is written elsewhere.
-        if type(load) is dict and type(load.get("recording")) is str:
-            study = path.parent / load["recording"]
-            load["recording"] = os.path.abspath(study)
+    # A recording's study is looked for beside its case, whatever the root.
+    keys = ("recording",) if root else ("recording", "file", "heights")
+    tree = _with_whole_paths(tree, keys, path.parent)
     return yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, width=80)
+
+
+def _with_whole_paths(tree, keys: Sequence[str], folder: Path):
+    if isinstance(tree, list):
+        return [_with_whole_paths(value, keys, folder) for value in tree]
+    if not isinstance(tree, dict):
+        return tree
+    return {
+        key: os.path.abspath(folder / value)
+        if key in keys and isinstance(value, str)
+        else _with_whole_paths(value, keys, folder)
+        for key, value in tree.items()
+    }
 
 
 def _index(place, part: str):

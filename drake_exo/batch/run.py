@@ -211,14 +211,16 @@ def _command(task: Task, out: Path, draft: Path, earlier) -> list[str]:
     source, root = task.source, task.root
     if source is None:
         source = out / task.needs[LAB] / "study.yaml"
-    if root is None:
+    of_sole = task.step.startswith("sole")
+    if root is None and not of_sole:  # a case's recordings have their own
         root = source.parent
     if task.changes:
-        cls = file_class(task.step.startswith("sole"))
-        text = changed_text(source, cls, task.changes)
+        text = changed_text(source, file_class(of_sole), task.changes, root)
         source = draft / source.name
         source.write_text(text, encoding="utf-8")
-    command = [*task.step.split(), str(source), "--data-root", str(root)]
+    command = [*task.step.split(), str(source)]
+    if root is not None:
+        command += ["--data-root", str(root)]
     if "calibrate" in task.needs:
         command += ["--calibration", str(out / task.needs["calibrate"])]
     checkpoint = _CHECKPOINTS.get(task.step)

@@ -345,14 +345,22 @@ def test_files_that_name_each_other_come_to_an_end(tmp_path):
     }
 
 
-def test_a_swept_case_finds_its_recording(tmp_path):
-    """It is written elsewhere."""
+@pytest.mark.parametrize("root", [None, Path("/data")])
+def test_a_swept_case_finds_its_files(tmp_path, root):
+    """It is written elsewhere; of a root's folder paths stay as they were."""
     path = tmp_path / "case.yaml"
     path.write_text(
-        "name: s\nmesh: {brick: {size_m: [0.3, 0.1, 0.03], "
-        "divisions: [2, 2, 2]}}\nmaterial: {name: neoprene}\n"
-        "load: {recording: study.yaml, trial: walk, foot: left}\n"
+        "name: s\nmesh: {file: a.stl}\nmaterial: {name: neoprene}\n"
+        "ground: {heights: a.csv}\nloads:\n"
+        "- {recording: study.yaml, trial: walk, foot: left}\n"
+        "- {csv: {file: ../b.csv}}\n"
     )
-    for changes in ({"contact.friction": 0.5}, {"load.trial": "run"}):
-        load = yaml.safe_load(changed_text(path, Settings, changes))["load"]
-        assert load["recording"] == str(tmp_path / "study.yaml")
+    beside = Path("") if root else tmp_path
+    for changes in ({"contact.friction": 0.5}, {"loads.0.trial": "run"}):
+        tree = yaml.safe_load(changed_text(path, Settings, changes, root))
+        walk, other = tree["loads"]
+        assert walk["recording"] == str(tmp_path / "study.yaml")
+        assert tree["mesh"]["file"] == str(beside / "a.stl")
+        assert tree["ground"]["heights"] == str(beside / "a.csv")
+        theirs = "../b.csv" if root else str(tmp_path.parent / "b.csv")
+        assert other["csv"]["file"] == theirs

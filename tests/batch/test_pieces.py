@@ -44,6 +44,10 @@ def test_a_command_names_what_it_reads_and_where_it_writes(tmp_path):
     assert run._command(made, out, draft, [])[1:4] == [
         str(study), "--data-root", str(study.parent),
     ]  # fmt: skip
+    case = replace(CALIBRATE, step="sole simulate", options=())
+    assert run._command(case, out, draft, []) == [
+        "sole", "simulate", "/b/anna.yaml", "--out", str(draft / "out"),
+    ]  # fmt: skip
     lab = replace(CALIBRATE, step=run.LAB, options=("--seed", "1"))
     assert run._command(lab, out, draft, []) == [
         run.LAB, "--seed", "1", "--jobs", "1", "--out", str(draft / "out"),
