@@ -202,7 +202,7 @@ def _without_dynamics(device: DeviceFile, joint: ET.Element):
             for element in owner.findall(tag):
                 owner.remove(element)
                 said += [*element.attrib.values(), *element.itertext()]
-    if any(text.strip(" \n0.-+e") for text in said):
+    if any(text.strip().strip("0.-+e") for text in said):
         name = joint.get("name")
         yield (
             f"{device.name}: joint {name!r}: its dynamics in the file are left "

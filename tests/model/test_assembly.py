@@ -987,6 +987,14 @@ def test_a_rotor_of_an_sdf_is_told_to_be_left_out():
     assert "rotor_inertia" not in device.text
 
 
+def test_dynamics_of_nothing_are_not_told():
+    """Whatever a file is indented with."""
+    none = "<axis><dynamics>\n\t<damping> 0.0 </damping>\n\t</dynamics>"
+    assembly = Assembly(device=DeviceFile({"shoe": "foot"}, Path("d.sdf")))
+    device = brought_in(assembly, SDF.replace("<axis>", none)).device
+    assert device.notes == ()
+
+
 def test_an_axis_that_is_left_out_is_the_format_s_own():
     turned = '<child link="calf"/><origin rpy="0 0 1.5707963267949"/>'
     model = edited(
