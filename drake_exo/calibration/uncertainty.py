@@ -704,7 +704,7 @@ def _half_width(parts: np.ndarray, *more) -> np.ndarray:
 def _root(covariance: np.ndarray) -> np.ndarray:
     """Square root (m, k) of a covariance that may be singular."""
     # From clocks to stiff cuffs sizes differ by 1e9; at a bound it is 0.
-    unit = np.sqrt(np.diag(covariance))
+    unit = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unit[unit == 0.0] = 1.0
     values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
     return unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))

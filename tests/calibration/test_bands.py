@@ -202,8 +202,10 @@ def test_a_root_of_a_covariance():
     # Whatever the units: clocks and places beside a cuff that is bolted on.
     unit = np.array([1e-2, 2e6, 0.02, 1e-2, 40.0, 0.0])
     correlation = 0.6 + 0.4 * np.eye(6)
-    root = module._root(correlation * np.outer(unit, unit))
-    assert not root[5].any()  # at a bound
+    covariance = correlation * np.outer(unit, unit)
+    covariance[5, 5] = -1e-20  # at a bound, but for what is rounded
+    root = module._root(covariance)
+    np.testing.assert_allclose(root[5], 0.0, atol=1e-9)
     root = root[:5] / unit[:5, None]
     np.testing.assert_allclose(root @ root.T, correlation[:5, :5], atol=1e-9)
 
