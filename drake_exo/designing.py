@@ -431,13 +431,15 @@ def _with_parts(made: Designed) -> Designed:
     """With the norm of the forces that each kind of variable reaches alone."""
     reached = {"nothing": made.today.norm_n}
     fewer = ("fewer cuffs",) if made.found.problem.without else ()
-    for kind in (*_KINDS, *fewer):
-        found = _alone(made, kind)
-        if found.solution.was_stopped:
-            made = replace(made, stopped=True)
-            break
-        if found.solution.success:
-            reached[f"{kind} alone"] = found.norm_n
+    try:
+        for kind in (*_KINDS, *fewer):
+            found = _alone(made, kind)
+            if found.solution.was_stopped:
+                raise KeyboardInterrupt
+            if found.solution.success:
+                reached[f"{kind} alone"] = found.norm_n
+    except KeyboardInterrupt:  # between solves, too
+        made = replace(made, stopped=True)
     return replace(made, parts=reached | {"all": made.found.norm_n})
 
 

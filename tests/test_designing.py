@@ -102,6 +102,17 @@ def test_a_design_stays_where_its_parts_are_stopped(found, monkeypatch):
     assert list(made.parts) == ["nothing", "all"]
 
 
+def test_a_design_stays_where_it_is_interrupted_between_parts(monkeypatch):
+    def interrupted(made, kind):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(designing, "_alone", interrupted)
+    own = SimpleNamespace(norm_n=2.0, problem=SimpleNamespace(without=()))
+    found = Designed(DesignSettings(), own, own, {}, {})
+    made = designing._with_parts(found)
+    assert made.stopped and made.parts == {"nothing": 2.0, "all": 2.0}
+
+
 @pytest.mark.slow
 def test_the_mark_is_on_everything_that_is_written(
     found, tmp_path, monkeypatch

@@ -147,15 +147,17 @@ def fewer(
             if cuff in best[1].problem.without:
                 continue
             without = (*best[1].problem.without, cuff)
-            rival, why_not = _without(found, without, watch)
-            if rival is None:
-                tried.append(Tried(without, why_not=why_not))
-                continue
-            if rival.solution.was_stopped:
+            try:
+                rival, why_not = _without(found, without, watch)
+                if rival is None:
+                    tried.append(Tried(without, why_not=why_not))
+                    continue
+                if rival.solution.was_stopped:
+                    raise KeyboardInterrupt
+                norm = forecast(rival)
+            except KeyboardInterrupt:  # between solves, or in a forecast
                 tried.append(Tried(without, why_not=STOPPED_BY_USER))
                 return min([best, *rivals], key=lambda r: r[0])[1], tried
-            try:
-                norm = forecast(rival)
             except InputError as error:
                 tried.append(Tried(without, why_not=str(error)))
                 continue

@@ -59,6 +59,8 @@ def built(found):
     """Promised is 0.5 less than what is forecast."""
     if "nobody" in str(found.norm_n):
         raise InputError("nobody moves so")
+    if found.norm_n == "interrupted":
+        raise KeyboardInterrupt
     return found.norm_n + 0.5
 
 
@@ -104,8 +106,10 @@ def test_only_what_may_be_removed_is_tried(norms):
     assert fewer(whole, built, None) == (whole, [])
 
 
-def test_stopped_it_keeps_the_best_so_far(norms):
-    norms(shank=0.8, thigh=0.9, shank_thigh="stopped")
+@pytest.mark.parametrize("how", ["stopped", "interrupted"])
+def test_stopped_it_keeps_the_best_so_far(norms, how):
+    """In a solve, or in the forecast after it."""
+    norms(shank=0.8, thigh=0.9, shank_thigh=how)
     best, tried = fewer(design(), built, None)
     assert best.problem.without == ("shank",)
     assert [t.without for t in tried][-2:] == [("pelvis",), ("shank", "thigh")]
