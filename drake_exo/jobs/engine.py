@@ -80,6 +80,7 @@ class Ended:
         value: what the function returned, if done.
         error: one sentence otherwise.
         trace: of the exception, where it was not bad input.
+        raised: the exception, where it was the system's (a full disk).
         seconds: of the last attempt.
         host: where that was.
         attempts: how often it was begun.
@@ -91,6 +92,7 @@ class Ended:
     value: Any = None
     error: str = ""
     trace: str = ""
+    raised: OSError | None = None
     seconds: float = 0.0
     host: str = ""
     attempts: int = 0
@@ -102,8 +104,11 @@ class Ended:
         Raises:
             InputError: as the function did; or its process was killed each
                 time, for want of memory perhaps.
+            OSError: as the function did.
             RuntimeError: whatever else ended it.
         """
+        if self.raised is not None:
+            raise self.raised from RuntimeError(self.trace)
         if self.state == "failed" and not self.trace:
             raise InputError(self.error)
         if self.state in ("lost", "memory"):

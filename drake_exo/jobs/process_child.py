@@ -46,6 +46,7 @@ def call(function: str, arguments: dict) -> dict:
     except Exception as error:
         answer["error"] = f"{type(error).__name__}: {reason(error)}"
         answer["trace"] = traceback.format_exc()
+        answer["raised"] = error if isinstance(error, OSError) else None
     answer["seconds"] = time.perf_counter() - start
     return answer
 

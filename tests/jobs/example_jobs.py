@@ -1,5 +1,6 @@
 """Functions that workers of the tests call."""
 
+import errno
 import os
 import signal
 import time
@@ -29,6 +30,10 @@ def refuse():
 
 def fail():
     raise KeyError("ours")
+
+
+def overfill():
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "a.csv")
 
 
 def process():

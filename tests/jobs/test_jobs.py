@@ -1,5 +1,6 @@
 """Jobs in processes: order, failures, killed processes, memory."""
 
+import errno
 import io
 import os
 import pickle
@@ -172,6 +173,18 @@ def test_what_a_job_came_to():
     ):
         with pytest.raises(error, match="a: no end"):
             Ended("a", state, error="no end", trace=trace).result()
+
+
+def test_a_full_disk_is_told_as_it_would_be_here():
+    """A command has a sentence for it."""
+    with Processes(1) as pool:
+        job = Job("a", "example_jobs:overfill")
+        ended = run_jobs([job], pool)["a"]
+    assert ended.state == "failed" and "overfill" in ended.trace
+    with pytest.raises(OSError, match="No space left") as found:
+        ended.result()
+    assert found.value.errno == errno.ENOSPC
+    assert found.value.filename == "a.csv"
 
 
 def test_no_processes_are_refused():
