@@ -502,6 +502,8 @@ class Worker:
         return self._said.read().decode("utf-8", "replace")
 
     def _too_large(self, job: Job) -> str:
+        if self.memory_mb is None:
+            return "needs more memory than there is; use fewer workers"
         return (
             f"needs more than the {self.memory_mb} MB that --memory allows; "
             "allow more, with fewer workers if need be"

@@ -54,6 +54,10 @@ def fill(megabytes):
     return len(bytearray(megabytes * 2**20)) and megabytes
 
 
+def exhaust():
+    raise MemoryError
+
+
 def abort():
     """As C++ code does that finds no memory."""
     os.write(2, b"terminate called: std::bad_alloc\n")

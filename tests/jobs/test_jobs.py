@@ -178,8 +178,7 @@ def test_what_a_job_came_to():
 def test_a_full_disk_is_told_as_it_would_be_here():
     """A command has a sentence for it."""
     with Processes(1) as pool:
-        job = Job("a", "example_jobs:overfill")
-        ended = run_jobs([job], pool)["a"]
+        ended = run_jobs([job("a", "overfill")], pool)["a"]
     assert ended.state == "failed" and "overfill" in ended.trace
     with pytest.raises(OSError, match="No space left") as found:
         ended.result()
@@ -298,6 +297,13 @@ def test_memory_is_bounded_and_the_job_named():
     for name in ("large", "inside"):
         assert ended[name].state == "memory"
         assert "600 MB" in ended[name].error
+
+
+def test_memory_that_nobody_bounded_may_be_short():
+    with Processes(1) as pool:
+        ended = run_jobs([job("a", "exhaust")], pool)["a"]
+    assert ended.state == "memory"
+    assert ended.error.startswith("needs more memory than there is")
 
 
 @pytest.mark.slow
