@@ -24,7 +24,7 @@ from drake_exo.contact.bushing import ROTATION, bushing_wrench
 from drake_exo.contact.parameters import ContactModel, ContactSphere
 from drake_exo.contact.strap import EXTRAPOLATED, TODAY, read_design
 from drake_exo.errors import InputError
-from drake_exo.files.output import read_json, stored_mark
+from drake_exo.files.output import checksum, read_json, stored_mark
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.plant import Model
@@ -212,7 +212,7 @@ def replay_results(
     model = read_model(found[0].folder)
     trials = []
     for results in found:
-        if read_model(results.folder) != model:
+        if checksum(read_model(results.folder)) != checksum(model):
             raise InputError(
                 f"{folder}: holds results of several models; view one of "
                 f"its folders, such as {results.folder}"

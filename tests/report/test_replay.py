@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -233,6 +234,26 @@ def test_results_of_two_subjects_are_refused(tmp_path):
     write_json(other / MODEL, model)
     with pytest.raises(InputError, match="several models"):
         replay_results(tmp_path / "all", tmp_path / "page.html")
+
+
+def test_a_device_is_the_same_wherever_its_file_lies(tmp_path, monkeypatch):
+    """Calibrated by the study of one folder, predicted by another's."""
+    for name in "ab":
+        write_results(tmp_path / name)
+    text = "device: {file: hip_only.urdf, weld: {belt: pelvis}}\n"
+    assembly = with_text(schema.load_text(text, Assembly), models_path())
+
+    def read_model(folder):
+        file = Path(folder.name, "hip_only.urdf")
+        device = replace(assembly.device, file=file)
+        return Model(replace(assembly, device=device), nominal_human())
+
+    written = []
+    monkeypatch.setattr(replay, "read_model", read_model)
+    monkeypatch.setattr(replay, "_replayed", lambda results, model: [results])
+    monkeypatch.setattr(replay, "write_replay", lambda *a: written.extend(a[2]))
+    replay_results(tmp_path, tmp_path / "page.html")
+    assert len(written) == 2
 
 
 def test_unsolved_results_are_refused(tmp_path):
