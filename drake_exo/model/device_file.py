@@ -83,7 +83,7 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
         notes += _possible_inertia(device, link)
     joints = {joint.get("name"): joint for joint in owner.findall("joint")}
     for name, joint in joints.items():
-        follows = next(joint.iter("mimic"), None) is not None
+        follows = joint.find(".//{*}mimic") is not None
         stays = name in device.fixed or _ends(joint) <= set(device.weld)
         if follows and not stays:
             raise InputError(
@@ -98,7 +98,7 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
                 f"{', '.join(str(n) for n in joints) or 'none'}"
             )
         joints[name].set("type", "fixed")
-        for tag in ("axis", "limit", "dynamics", "mimic"):
+        for tag in ("axis", "limit", "dynamics", "{*}mimic"):
             for element in joints[name].findall(tag):
                 joints[name].remove(element)
     _without_meshes(owner)

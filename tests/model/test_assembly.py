@@ -964,6 +964,10 @@ CRANK = BAR + HINGE.format("shank", "bar")
         # As a four-bar is written in Drake's own SDF.
         (CRANK + "<drake:linear_bushing_rpy/>", "drake:linear_bushing_rpy hol"),
         (CRANK + "<drake:ball_constraint/>", "drake:ball_constraint holds lin"),
+        (
+            CRANK.replace("</axis>", '</axis><drake:mimic joint="motor"/>'),
+            "'jshank' follows another one",
+        ),
         # For which SDF has 1 kg and 1 kg m^2.
         (CRANK + '<link name="tag"/>', "'tag': has no mass or not all"),
         (CRANK.replace("<mass>1</mass>", ""), "'bar': has no mass or not all"),
