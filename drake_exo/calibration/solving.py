@@ -20,7 +20,7 @@ from drake_exo.nlp.ipopt import Iterate, Solution
 
 CHECKPOINT = "checkpoint.npz"
 _AFRESH = "start afresh without resume (--resume)"
-REFINEMENTS = 4
+REFINEMENTS = 5  # with the damping of what alternates
 _AT_ONCE = 4.0  # parts of an interval
 _AIM = 0.5  # of what is allowed: a finer grid misses elsewhere
 _CHECKPOINT_SECONDS = 2.0
@@ -116,7 +116,7 @@ def solve(
     """
     problem = pose(near.problem.refined if near else {})
     result = _solve_first(problem, title, folder, resume, near)
-    for _ in range(1 + REFINEMENTS):
+    for _ in range(REFINEMENTS):
         refined = finer(result) if result.success else None
         if not refined:
             break
