@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.constants import g
 
 from drake_exo.errors import InputError
 from drake_exo.files.output import Check, Level, Verdict
@@ -34,6 +35,8 @@ from drake_exo.model.segments import LEG_JOINTS
 
 # A plate that bears less has no centre of pressure worth a judgement [N].
 LOADED_N = 50.0
+# A walker's centre of mass sways by 25 mm either way in strides of 1.1 s.
+_SWAY_M_S = 0.15
 # The foot reaches so far behind its hindmost marker, and its markers so far
 # inside of its edges [m].
 _HEEL_M = 0.03
@@ -735,18 +738,18 @@ def _dynamics(e: Evidence) -> Iterator[Check]:
         moment,
         f"Euler's law misses {moment:.0f} N m RMS about the {root}; {cause}",
     )
-    means = {"forward": float(missing[:, 0].mean())}
+    means = {"forward": (float(missing[:, 0].mean()), 0.0)}
     if not e.recording.forces.is_one_leg:
-        means["sideways"] = -float(
-            sum(w[:, 1] for w in e.plates.values()).mean()
-        )
-    for way, mean in means.items():
+        across = sum(w[:, 1] for w in e.plates.values()).mean()
+        means["sideways"] = -float(across), _sway(e)
+    for way, (mean, more) in means.items():
         yield e.check(
             f"mean_{way}",
             abs(mean),
             f"plates bear {-mean:+.0f} N {way} on average that the motion does "
             f"not ask for ({100 * abs(mean) / e.weight:.0f} % of body weight); "
             "a plate's axes, or its corners in the file, look turned",
+            limit=LIMITS[f"mean_{way}"][0] + more,
         )
     yield e.check(
         "mean_weight",
@@ -758,6 +761,15 @@ def _dynamics(e: Evidence) -> Iterator[Check]:
             "plate, or a part in which the chair still bears"
         ),
     )
+
+
+def _sway(e: Evidence) -> float:
+    """Mean force, in body weights, that sends a walker to the other side.
+
+    Of a part that ends on other feet than it begins on.
+    """
+    first, last = ([e.loaded(p)[k] for p in e.plates] for k in (0, -1))
+    return 2.0 * _SWAY_M_S / (g * e.trial.duration) * (first != last)
 
 
 def shear_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:

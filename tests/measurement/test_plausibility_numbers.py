@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.constants import g
 
 from drake_exo.files.tables import MarkerData
 from drake_exo.measurement import plausibility
@@ -176,6 +177,12 @@ def test_newton_and_euler_by_hand():
         (100.0 * 30.0 / 630.0, pytest.approx(7.0), True),
     ]
     assert "+25 N sideways" in found[3].sentence
+    # From the left foot to the right one in 0.49 s, at 0.15 m/s and back.
+    for side, stands in ("left", slice(30)), ("right", slice(20, None)):
+        plates[side][stands, 2] = 400.0
+    known(e, needed=measured, plates=plates)
+    (check,) = told(list(plausibility._dynamics(e)), "mean_sideways")
+    assert check == (25.0, pytest.approx(21.0 + 700.0 * 0.3 / g / 0.49), True)
     known(e, needed=measured + 2.2 * lost)
     found = list(plausibility._dynamics(e))
     assert "N m RMS about the ankle" in found[1].sentence
