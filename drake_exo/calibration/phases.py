@@ -480,7 +480,6 @@ class PeriodicStep(PredictionProblem):
     """
 
     ends = "periodic"
-    damps = False  # no data would outweigh it: it would shape the step
 
     def _terms(self, movement, at, effects):
         return [minimised(movement.torque, self.settings.noise.torque_nm)]

@@ -207,8 +207,6 @@ class PhaseProblem(Compiles, ABC):
 
     # Of the typical jerk, what a movement's costs.
     jerk_share = 1.0
-    # Whether what alternates between nodes costs on a refined grid.
-    damps = True
 
     def __init__(
         self,
@@ -394,7 +392,7 @@ class PhaseProblem(Compiles, ABC):
             self._terms(movement, at, effects), self.error_variables
         )
         movement.add_jerk_cost(self.jerk)
-        if self.damps and movement.name in self.refined:
+        if movement.is_tracked and movement.name in self.refined:
             # From the start it would lead a step to other optima.
             movement.damp()
         return movement

@@ -157,10 +157,8 @@ def finer(result: PhaseResult) -> dict[str, np.ndarray]:
         first.
     """
     problem, found, fails = result.problem, {}, False
-    undamped = (
-        problem.damps
-        and not problem.refined
-        and any(movement.may_alternate for movement in problem.movements)
+    undamped = not problem.refined and any(
+        m.may_alternate and m.is_tracked for m in problem.movements
     )
     for i, (trial, movement) in enumerate(
         zip(problem.trials, problem.movements, strict=True)

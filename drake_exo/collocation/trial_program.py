@@ -327,6 +327,11 @@ class TrialProgram:
         """
         return self.tree.root not in self.grounds
 
+    @property
+    def is_tracked(self) -> bool:
+        """Whether anything measured is: else what damps shapes the movement."""
+        return any(term.role != "regulariser" for term in self.tracked)
+
     def damp(self) -> None:
         """Add 1/2 integral of what alternates between nodes as cost."""
         if not self.may_alternate:

@@ -140,11 +140,9 @@ def test_a_grid_is_finer_where_forces_or_moments_miss(monkeypatch):
     """By 1 N and 0.5 N m; then until half of that should be missed."""
     parts = np.ones(4, int)
     grid = SimpleNamespace(parts=parts)
-    movement = SimpleNamespace(grid=grid, may_alternate=False)
+    movement = SimpleNamespace(grid=grid, may_alternate=False, is_tracked=True)
     trial = SimpleNamespace(name="rise")
-    problem = SimpleNamespace(
-        refined={}, movements=[movement], trials=[trial], damps=True
-    )
+    problem = SimpleNamespace(refined={}, movements=[movement], trials=[trial])
     result = SimpleNamespace(problem=problem)
     for force, moment, expected in (
         (0.9, 0.45, None),
@@ -163,9 +161,9 @@ def test_a_grid_is_finer_where_forces_or_moments_miss(monkeypatch):
     # What alternates is damped first, on the same grid.
     movement.may_alternate = True
     np.testing.assert_array_equal(solving.finer(result)["rise"], parts)
-    problem.damps = False
+    movement.is_tracked = False
     np.testing.assert_array_equal(solving.finer(result)["rise"], [4, 4, 2, 2])
-    problem.damps, problem.refined = True, {"rise": parts}
+    movement.is_tracked, problem.refined = True, {"rise": parts}
     np.testing.assert_array_equal(solving.finer(result)["rise"], [4, 4, 2, 2])
 
 
