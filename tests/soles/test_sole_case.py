@@ -1,6 +1,7 @@
 """Case files, loads and the command, bad input included."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -282,10 +283,18 @@ def test_soles_never_load_systems_nor_the_exoskeleton_half():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-@pytest.mark.parametrize("iterations", [-1, 2.5, "a"])
-def test_iterations_are_a_whole_number(iterations):
+@pytest.mark.parametrize(
+    ("iterations", "why"),
+    [
+        (-1, "is -1, but must be at least 0"),
+        (2.5, "must be a whole number, but is '2.5'"),
+        ("a", "must be a whole number, but is 'a'"),
+    ],
+)
+def test_iterations_are_a_whole_number(iterations, why):
     case = Case.from_text(EXAMPLE)
-    with pytest.raises(InputError, match=r"iterations .*must be"):
+    said = f"{case.name}: optimize: stages[0].iterations {why}"
+    with pytest.raises(InputError, match=f"^{re.escape(said)}$"):
         case.with_iterations(iterations)
 
 
