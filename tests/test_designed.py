@@ -450,6 +450,7 @@ def test_a_front_asks_for_shares_of_today_s_work(made, monkeypatch):
     assert rows[0]["work_j"] == pytest.approx(made.support["before"])
 
 
+@pytest.mark.slow
 def test_points_of_a_front_that_nobody_would_take_are_told(
     made, monkeypatch, tmp_path, capsys
 ):

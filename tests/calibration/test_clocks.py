@@ -233,6 +233,7 @@ def test_what_is_known_of_others_comes_beside():
     np.testing.assert_array_equal(part.covariance, np.diag([16.0, 4.0]))
 
 
+@pytest.mark.slow
 def test_a_calibration_is_compared_on_the_clocks_that_it_found(
     in_device, tmp_path
 ):

@@ -398,6 +398,7 @@ def unseen(trial):
     return replace(trial, **aligned, jerk=None, provenance=said)
 
 
+@pytest.mark.slow
 def test_angles_that_no_encoder_told_are_not_tracked(in_device):
     made, trials = in_device, in_device.trials[:1]
     blind = list(map(unseen, trials))

@@ -215,6 +215,7 @@ def test_what_is_written_is_of_the_model_that_was_calibrated(tmp_path):
     assert read_calibration(tmp_path).origin.model == checksum(model)
 
 
+@pytest.mark.slow
 def test_foot_and_ground_may_be_known():
     """By a contact or by no parameters; trials may come one by one."""
     model, trials = dx.synthetic.rises_on_spheres(2, nodes_per_second=20)
@@ -289,6 +290,7 @@ def test_what_a_callback_raises_ends_the_solve(posed):
     assert told == [0, 1, 2]
 
 
+@pytest.mark.slow
 def test_a_stopped_solve_is_no_mistake_of_the_input(posed):
     """Where nothing can go on without it, it is Ctrl-C that is told."""
 

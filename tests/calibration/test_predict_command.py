@@ -165,6 +165,7 @@ def test_what_a_prediction_refuses_leaves_no_folder(tmp_path):
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_what_is_solved_is_written_before_another_trial_is_refused(
     tmp_path, monkeypatch
 ):

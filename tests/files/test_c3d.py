@@ -187,6 +187,7 @@ def test_counts_without_sign(monkeypatch, tmp_path, markers, plate):
         read_c3d(path)
 
 
+@pytest.mark.slow
 def test_offsets_below_zero(tmp_path, markers, plate):
     """(count - OFFSET) SCALE, says the manual; ezc3d takes the magnitude."""
     path = tmp_path / "a.c3d"
@@ -435,6 +436,7 @@ def test_truncated_files_are_told_by_their_header(
         decode(path)
 
 
+@pytest.mark.slow
 def test_more_frames_than_can_be_counted(tmp_path, markers, monkeypatch):
     """Of which ezc3d reads as many as its header says, or none beyond."""
     path = tmp_path / "a.c3d"

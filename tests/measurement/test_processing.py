@@ -567,6 +567,7 @@ def test_real_trials_obey_newton(data_root, request):
         assert (rms < [24.0, 34.0, 24.0]).all(), rms
 
 
+@pytest.mark.slow
 def test_what_is_hidden_just_after_the_used_part_reaches_into_it(files, loaded):
     """By the filter: as far as a period of its cut-off."""
     folder, study = files

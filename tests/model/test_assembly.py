@@ -172,6 +172,7 @@ def test_a_device_written_from_its_other_end_is_the_same():
     )
 
 
+@pytest.mark.slow
 def test_joints_may_be_written_in_any_order():
     """Of a chain of three from pelvis to thigh the last one is the hip."""
     link = """<link name="{}"><inertial><mass value="0.5"/><inertia ixx="0.01"

@@ -69,6 +69,7 @@ def test_five_results_look_each_its_own_way_and_all_are_named(trials, found):
     assert " _old" in {x.get_label() for x in drawn}
 
 
+@pytest.mark.slow
 @undrawn()
 def test_what_is_shown_has_its_colour_in_every_figure(trials, found):
     """The model, C1 and calibrated are one colour; uncalibrated is another."""
@@ -581,6 +582,7 @@ def test_many_trials_of_long_names_stay_apart(trials, found):
     assert below.y1 <= at_a_glance.legends[0].get_window_extent(drawn).y0
 
 
+@pytest.mark.slow
 def test_both_legs_joints_are_told_apart_without_hiding_curves():
     """A joint has its colour, a side its dash; legends lie below."""
     model = Model(Assembly(Person("two")), nominal_human())

@@ -622,6 +622,7 @@ def test_dimensions_stand_where_they_measure(wedge):
     np.testing.assert_allclose([x.min(), x.max()], [20, 80], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_drawing_has_one_scale_and_cuts_nothing_off(wedge):
     figure = pictures.drawing_figure(wedge, "it", np.ones(len(wedge.contact)))
     _assert_texts_lie_apart(figure)

@@ -119,6 +119,7 @@ def test_lines_meet_triangles_where_their_planes_say():
         np.testing.assert_allclose(a, sorted(b), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_lines_through_a_scan_take_little_memory():
     """Of 100 000 triangles: all with every line took two gigabytes."""
     corners = _boundary(brick((0.25, 0.1, 0.03), (120, 40, 2)))
