@@ -45,6 +45,7 @@ from drake_exo.measurement.trial import Trial
 _AGAIN = "run the batch again"
 # Ends of keys that tell the unit of the numbers below them.
 _UNITS = {
+    "_samples": "",
     "_nm_per_rad": "N m/rad",
     "_n_per_m": "N/m",
     "c_rot": "N m/rad",
@@ -213,6 +214,8 @@ def unit_of(signal: str) -> str:
     """
     first, *rest = signal.split(".")
     if first == "band_coverage" and rest[0] != "half_width_n":
+        return ""
+    if first == "multipliers":  # of limits that are scaled
         return ""
     for part in reversed([first, *rest]):
         for end, unit in _UNITS.items():

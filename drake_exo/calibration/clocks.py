@@ -240,9 +240,7 @@ def phase_checks(
             "bounds",
             p.name not in at_bound,
             where=p.name,
-            sentence="the data ask for a value beyond its bound"
-            if p.name in at_bound
-            else "",
+            sentence="the data ask for a value beyond its bound",
             level="note",
         )
         for p in result.problem.parameters
@@ -276,6 +274,6 @@ def clock_checks(
                 sure, text = not said[system].endswith("unsure"), said[system]
             else:
                 continue
-            where, text = f"{trial.name}, {system}", "" if sure else text
+            where = f"{trial.name}, {system}"
             made.append(Check("clocks", sure, *doubt, where, text, "note"))
     return made

@@ -321,10 +321,8 @@ class StoredCalibration:
         )
 
     def _check(self, name, holds, sentence, level="fail") -> Check:
-        text, where = "" if holds else sentence, self.folder.name
-        return Check(
-            f"provenance.{name}", holds, None, None, "", where, text, level
-        )
+        name, where = f"provenance.{name}", self.folder.name
+        return Check(name, holds, None, None, "", where, sentence, level)
 
     def taken(
         self, checks: Sequence[Check], accepted: Sequence[str]

@@ -508,8 +508,7 @@ class Check:
         limit: what it was held against, likewise.
         unit: of both.
         where: trial, signal or file.
-        sentence: what is wrong and its likely cause; may be empty where the
-            check holds.
+        sentence: what is wrong and its likely cause; empty where it holds.
         level: whether a result that does not hold it fails.
     """
 
@@ -521,6 +520,10 @@ class Check:
     where: str = ""
     sentence: str = ""
     level: Level = "fail"
+
+    def __post_init__(self):
+        if self.holds:
+            object.__setattr__(self, "sentence", "")
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,7 @@ def _judged(
         float(limit),
         unit,
         where,
-        "" if holds else sentence,
+        sentence,
         level,
     )
 

@@ -223,8 +223,11 @@ class Study:
 
         def end(row: Ended) -> None:
             if row.name.endswith(_TOLD):
-                error = row.cause or row.error
-                print(row.value or f"{row.name}: {error}", flush=True)
+                beside = (
+                    UNLIMITED + "/" if row.name.startswith(UNLIMITED) else ""
+                )
+                error = f"{row.name}: {row.cause or row.error}"
+                print(beside + row.value if row.value else error, flush=True)
                 note()
 
         try:
@@ -241,8 +244,14 @@ class Study:
             for row in ended.values()
             if row.state != "done" and row.name.endswith(_TOLD)
         ]
-        for row in (row for key in self.variants for row in summary[key]):
-            checks += stored(row).checks
+        for key in self.variants:
+            # Names of cases are those of their designs with limits as well.
+            beside = UNLIMITED + "/" if key == UNLIMITED else ""
+            for row in summary[key]:
+                checks += [
+                    replace(c, where=beside + c.where)
+                    for c in stored(row).checks
+                ]
         verdict = Verdict(tuple(checks), tuple(accepted))
         summary |= verdict.summary()
         write_json(out / SUMMARY, summary)

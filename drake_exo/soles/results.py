@@ -63,9 +63,9 @@ def step_checks(step) -> tuple[Check, ...]:
     """Checks of a `Step`, see the table in docs/soles.md."""
 
     def check(name, holds, value, limit, unit, sentence, level="fail"):
-        said = "" if holds else sentence
+        where = step.setup.name
         return Check(
-            name, bool(holds), value, limit, unit, step.setup.name, said, level
+            name, bool(holds), value, limit, unit, where, sentence, level
         )
 
     failed = np.flatnonzero(~step.converged)

@@ -105,6 +105,8 @@ def test_units():
     assert unit_of("felt.thigh.before.pressure_kpa") == "kPa"
     assert unit_of("band_coverage.angles_deg.exo_hip") == ""
     assert unit_of("band_coverage.half_width_n.pelvis") == "N"
+    assert unit_of("free_moment_nm.cut_samples") == ""  # a number of them
+    assert unit_of("multipliers.tilt_deg") == ""
 
 
 def test_numbers_of_a_design():

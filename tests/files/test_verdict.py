@@ -49,6 +49,12 @@ def test_an_accepted_result_keeps_its_mark():
     assert Verdict((SOLVED, NOTE)).mark == ""
 
 
+def test_what_holds_has_no_sentence_of_what_is_wrong():
+    holds = Check("audit", True, 0.5, 1.0, "N", "rise1", AUDIT.sentence)
+    told = Verdict((holds, AUDIT)).summary()["checks"]
+    assert [c["sentence"] for c in told] == ["", "the grid is coarse"]
+
+
 def test_what_is_accepted_and_was_never_checked_is_told():
     text = Verdict((SOLVED, AUDIT), ("auditt", "audit", "all")).text()
     assert "--accept auditt: no check has that name" in text

@@ -64,7 +64,8 @@ def ran(tmp_path, monkeypatch, capsys):
             if job.name.endswith("optimize") and not skipped:
                 name = f"{folder.parent.name}/{folder.name}"
                 row = {"name": folder.name, "of": name}
-                row |= Verdict((Check("solved", True, where=name),)).summary()
+                solved = Check("solved", True, where=folder.name)
+                row |= Verdict((solved,)).summary()
                 (folder / "summary.json").write_text(json.dumps(row))
             state = "failed" if lost else "skipped" if skipped else "done"
             why = "no end" if lost else "not begun"
@@ -123,7 +124,7 @@ def test_who_failed_and_who_holds_is_in_the_verdict(ran):
     found = {c.where: c.holds for c in ran.verdict.checks}
     assert found == {
         "2-Rot/optimize": False,
-        "out/1-Ref": True,
+        "1-Ref": True,
         "unlimited/1-Ref": True,
         "unlimited/2-Rot": True,
     }
@@ -131,6 +132,7 @@ def test_who_failed_and_who_holds_is_in_the_verdict(ran):
     assert failed.sentence == "no end"
     assert "2-Rot/optimize: no end\n" in ran.said
     assert ran.said.count("fine\n") == 7 and "stage" not in ran.said
+    assert ran.said.count("unlimited/fine\n") == 4
     assert ran.summary["verdict"] == ran.verdict.summary()["verdict"]
 
 

@@ -301,9 +301,8 @@ class Design:
         ]  # fmt: skip
 
         def note(what, holds, value, limit, sentence) -> None:
-            said = "" if holds else sentence
             checks.append(
-                Check(what, holds, value, limit, "", name, said, "note")
+                Check(what, holds, value, limit, "", name, sentence, "note")
             )
 
         if self.optima:
