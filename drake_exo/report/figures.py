@@ -309,6 +309,8 @@ def _drawn(runs, trials, rows, height=1.9, shade=None) -> Figure:
     `shade` adds to all of them before the legend is made.
     """
     width = _panel_width(len(trials))
+    # In smaller letters than titles.
+    rows = [(_wrapped(name, 1.25 * height), *of) for name, *of in rows]
     with matplotlib.rc_context(STYLE):
         figure = Figure(
             figsize=(max(width * len(trials), 4.4), height * len(rows) + 0.6)
@@ -334,9 +336,10 @@ def _panel_width(trials: int) -> float:
 
 
 def _wrapped(name: str, width: float) -> str:
-    """A trial's name in lines of some inches, at "_" if it can be."""
-    lines = textwrap.fill(name.replace("_", "_ "), int(11 * width))
-    return lines.replace("_ ", "_")
+    """A name in lines of some inches, at "_" if it can be."""
+    whole = name.replace("_", "_ ").replace("N m", "N\u00a0m")
+    lines = textwrap.fill(whole, int(11 * width))
+    return lines.replace("_ ", "_").replace("\u00a0", " ")
 
 
 def _fill(axes, found: dict[str, Trial | None], trial: Trial, rows) -> None:

@@ -561,6 +561,25 @@ def test_a_legend_leaves_room_for_the_titles(trials, found):
 
 
 @pytest.mark.slow
+def test_long_names_of_rows_stay_apart(trials, found):
+    """As of a device with two legs."""
+    labels = [f"exo. {side}_knee [N m]" for side in ("left", "right")]
+    rows = [(label, lambda t: t.coordinate("knee")) for label in labels]
+    rows = [*rows, ("knee_right [°/s]", rows[0][1])]
+    figure = figures._drawn({"model": found}, trials, rows, height=1.35)
+    FigureCanvasAgg(figure)
+    drawn = figure.canvas.get_renderer()
+    first = figure.axes[:: len(trials)]
+    boxes = [ax.yaxis.label.get_window_extent(drawn) for ax in first]
+    assert all(above.y0 > below.y1 for above, below in pairwise(boxes))
+    told = [ax.get_ylabel() for ax in first]
+    assert [t.replace("\n", " ").replace("_ ", "_") for t in told] == [
+        *labels, "knee_right [°/s]",
+    ]  # fmt: skip
+    assert "\n[N m]" in told[0] and "\n" not in told[2]
+
+
+@pytest.mark.slow
 def test_many_trials_of_long_names_stay_apart(trials, found):
     """Titles do not touch, nor is a figure too wide for a screen."""
     name = "subject_07_assisted_standing_up_slow_second"
