@@ -443,11 +443,12 @@ class Designed:
         for cuff, peak in self.peaks.items():
             value = peak.measured_after
             if value is not None:
+                less = value < peak.forecast_after
                 yield note(
                     "design.measured",
                     peak.forecast_low <= value <= peak.forecast_high,
                     value,
-                    peak.forecast_after,
+                    peak.forecast_low if less else peak.forecast_high,
                     "N",
                     cuff,
                     "as built it bears what its forecast's band does not hold",

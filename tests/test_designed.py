@@ -359,7 +359,7 @@ def test_a_forecast_beyond_a_limit_is_told(made, felt, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_built_design_is_held_against_its_forecast(told):
+def test_a_built_design_is_held_against_its_forecast(told, monkeypatch):
     """By the mean of what mats then show."""
     name, (moved, *_) = next(iter(told.after.items()))
     built = replace(told, measured={name: [moved.trial]})
@@ -368,7 +368,16 @@ def test_a_built_design_is_held_against_its_forecast(told):
     assert peak.measured_after == pytest.approx(most)
     checks = {c.where: c for c in built.checks() if c.name == "design.measured"}
     assert checks["pelvis"].value == pytest.approx(most)
-    assert checks["pelvis"].limit == pytest.approx(peak.forecast_after)
+    for middle, end in ((0.8 * most, 2.0 * most), (1.2 * most, 0.5 * most)):
+        band = replace(
+            peak, forecast_after=middle,
+            forecast_low=0.5 * most, forecast_high=2.0 * most,
+        )  # fmt: skip
+        monkeypatch.setattr(Designed, "peaks", {"pelvis": band})
+        own = replace(built).checks()  # nothing cached
+        found = [c for c in own if c.name == "design.measured"]
+        # The band's nearer end: what holds is not beyond it.
+        assert [(c.holds, c.limit) for c in found] == [(True, end)]
     work = built.support["measured_after"]
     t = moved.trial
     power = sum(t.moment(j) * t.velocity(j) for j in t.coordinates.device)
