@@ -56,6 +56,17 @@ def test_from_a_script(tmp_path, how):
     assert done.stdout.strip() == "[0, 1, 4, 9, 16]", done.stderr
 
 
+@pytest.mark.parametrize("how", [["benchmarks/{}.py"], ["-m", "benchmarks.{}"]])
+def test_benchmarks_run_as_files_and_as_modules(how):
+    root = Path(__file__).parents[2]
+    scripts = (root / "benchmarks").glob("*.py")
+    names = [path.stem for path in scripts if "run_calls(" in path.read_text()]
+    assert len(names) > 4
+    for name in set(names) - {"calls"}:
+        words = [word.format(name) for word in how]
+        subprocess.run([sys.executable, *words, "--help"], cwd=root, check=True)
+
+
 def test_calls_beside_are_waited_for():
     with second_process() as beside:
         assert beside(example_jobs.sleep, seconds=0.2).value() == 0.2
