@@ -43,6 +43,8 @@ from drake_exo.files.output import (
 from drake_exo.measurement.trial import Trial
 
 _AGAIN = "run the batch again"
+# Pages of a folder that replay it: what soles write, and `view --out`.
+_REPLAYS = ("animation.html", "replay.html")
 # Ends of keys that tell the unit of the numbers below them.
 _UNITS = {
     "_samples": "",
@@ -349,9 +351,10 @@ def _address(name: str) -> str:
 def _links(batch: Batch) -> dict[str, str]:
     """Folder -> its replay, of those that have one."""
     return {
-        task.name: f"{_address(task.name)}/replay.html"
+        task.name: f"{_address(task.name)}/{page}"
         for task in batch.tasks
-        if (batch.out / task.name / "replay.html").is_file()
+        for page in _REPLAYS
+        if (batch.out / task.name / page).is_file()
     }
 
 

@@ -202,6 +202,18 @@ def test_the_page_holds_everything_failures_first(batch):
     )
 
 
+def test_the_page_leads_to_replays(batch):
+    """Those that soles write, and those that `view --out` saved."""
+    pages = {
+        "anna/calibrate": "anna/calibrate/replay.html",
+        "bert/calibrate": "bert/calibrate/animation.html",
+    }
+    for page in pages.values():
+        (batch.out / page).touch()
+    write_report(batch, rows_of(batch), {})
+    assert results_in(batch.out / "report.html")["replays"] == pages
+
+
 def test_the_page_stays_small(batch, monkeypatch):
     rows = rows_of(batch) * 100
     monkeypatch.setattr(results, "LARGEST_BYTES", results._TEXT_BYTES + 20_000)
