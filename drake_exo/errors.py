@@ -138,7 +138,7 @@ def nearest(name: str | None, names: Iterable[str]) -> str:
     """
     from difflib import get_close_matches  # only once something is wrong
 
-    close = get_close_matches(name or "", list(names), n=1, cutoff=0.5)
+    close = get_close_matches(name or "", list(names), n=1)
     return f"; did you mean {close[0]!r}?" if close else ""
 
 

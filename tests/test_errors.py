@@ -69,6 +69,8 @@ def test_the_nearest_name_is_suggested_if_one_is_near():
     names = ("hip_torque", "knee_torque")
     assert nearest("hip_torqe", names) == "; did you mean 'hip_torque'?"
     assert nearest("mass", names) == nearest(None, names) == ""
+    # A key of old that is gone is no misspelt other one.
+    assert nearest("use_tr", ("strain", "starts")) == ""
 
 
 @pytest.mark.parametrize("name", ["rise1", "Aufstehen 2 (links)", "a.b-c+d_é"])
