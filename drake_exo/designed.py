@@ -298,13 +298,15 @@ class Designed:
                 area = self.settings.freedom(cuff).area_m2
                 if what == "after":
                     area *= self.design.cuffs[cuff].area
-                force = []
+                force, rates = [], []
                 for name, own in moved.items():
                     shown = np.ones(3)
                     shown[NORMAL] = who[name].shown(cuff)
-                    force += [
-                        shown * m.trial.cuffs[cuff].components for m in own
-                    ]
+                    for m in own:
+                        f = shown * m.trial.cuffs[cuff].components
+                        rate = np.gradient(f[:, NORMAL], m.trial.times)
+                        force.append(f)
+                        rates.append(np.abs(rate).max())
                 deflection = self._deflection(
                     cuff,
                     Design() if what == "before" else self.design,
@@ -315,6 +317,7 @@ class Designed:
                 row[what] = {
                     "peak_n": float(peak[NORMAL]),
                     "mean_n": float(mean),
+                    "rate_n_s": float(max(rates)),
                     "shear_n": float(peak[TANGENTIAL]),
                     "moment_nm": float(peak[ROTATION]),
                     "pressure_kpa": float(1e-3 * peak[NORMAL] / area),
@@ -597,8 +600,9 @@ class Designed:
                 built = dict.fromkeys(row["after"])
                 built["migration_mm"] = row["measured_migration_mm"]
                 rows.append([f"{row['cuff']} built", *built.values()])
-        header = ["cuff", "peak N", "mean N", "shear N", "moment N m"]
-        header += ["pressure kPa", "migration mm", "deflection mm"]
+        header = ["cuff", "peak N", "mean N", "rate N/s", "shear N"]
+        header += ["moment N m", "pressure kPa", "migration mm"]
+        header += ["deflection mm"]
         parts.append(format_table(header, rows, 1))
         rows = [
             [

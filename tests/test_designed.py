@@ -128,17 +128,22 @@ def test_what_is_felt_is_of_the_largest_forces(made, felt):
             area = AREA_M2
             if when == "after" and cuff == "thigh":
                 area *= 1.6
-            normal, shear, moment = [], [], []
+            normal, shear, moment, rate = [], [], [], []
             for name, trial in trials(made, when).items():
                 force = trial.cuffs[cuff]
                 shown = DIFFER[name].get(cuff, 1.0)
                 normal.append(shown * np.abs(force.normal))
+                slope = np.diff(force.normal) / np.diff(trial.times)
+                means = 0.5 * (slope[1:] + slope[:-1])  # evenly in time
+                ends = slope[0], slope[-1]
+                rate.append(shown * np.abs([*ends, *means]).max())
                 shear.append(np.abs(force.tangential).max())
                 moment.append(np.abs(force.moment).max())
             peak = max(f.max() for f in normal)
             assert own["peak_n"] == pytest.approx(peak)
             mean = np.mean([f.mean() for f in normal])
             assert own["mean_n"] == pytest.approx(mean)
+            assert own["rate_n_s"] == pytest.approx(max(rate))
             assert own["shear_n"] == pytest.approx(max(shear))
             assert own["moment_nm"] == pytest.approx(max(moment))
             # N on m^2 to kPa.

@@ -56,6 +56,7 @@ _UNITS = {
     "c_tr_initial": "N/m",
     "_cm3": "cm^3",
     "_deg_s": "deg/s",
+    "_n_s": "N/s",
     "_deg": "deg",
     "_nm": "N m",
     "_kpa": "kPa",

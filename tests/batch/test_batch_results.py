@@ -103,6 +103,7 @@ def test_units():
     assert unit_of("c_rot_mean_nm_per_rad") == "N m/rad"
     assert unit_of("volume_cm3") == "cm^3"
     assert unit_of("felt.thigh.before.pressure_kpa") == "kPa"
+    assert unit_of("felt.thigh.before.rate_n_s") == "N/s"
     assert unit_of("band_coverage.angles_deg.exo_hip") == ""
     assert unit_of("band_coverage.half_width_n.pelvis") == "N"
     assert unit_of("free_moment_nm.cut_samples") == ""  # a number of them
