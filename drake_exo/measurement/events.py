@@ -65,7 +65,7 @@ def find_rises(
         time: (N,) [s].
         hip_z: (N,) height of the hips [m], low-passed.
         chair_force: (N,) m (a_com + g) - F_z [N].
-        F_z: (N,) vertical force of the feet [N].
+        F_z: (N,) vertical force of the feet, less what is carried [N].
         weight: body weight [N].
     """
     low, high = hip_z.min(), hip_z.max()

@@ -449,8 +449,10 @@ def _rises(motion, feet, chair, forces, rigid: Model) -> list[Rise]:
     on_chair = (
         needed_force(rigid, motion) - F_z if chair is None else chair.force_z
     )
+    # What is carried bears on the feet, too.
+    own = F_z + sum(w.force_z for w in motion.applied.values())
     weight = rigid.tree.weight
-    return find_rises(motion.time, motion.hip_z, on_chair, F_z, weight)
+    return find_rises(motion.time, motion.hip_z, on_chair, own, weight)
 
 
 def _force_delay(

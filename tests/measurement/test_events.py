@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from drake_exo.measurement.events import (
     find_rises,
     until_seat_off,
 )
+from drake_exo.measurement.processing import _rises
 from drake_exo.measurement.sagittal import PlanarWrench
 
 TIME = np.arange(600) / 100.0
@@ -43,6 +46,22 @@ def test_seat_off_is_where_the_chair_is_empty(rise):
     assert found.halfway_s == pytest.approx(2.5, abs=0.02)
     # Standing: the swing of the force after the rise has settled.
     assert 2.85 < found.standing_s < 3.05 and found.is_steady
+
+
+@pytest.mark.parametrize("kg", [15.0, -15.0])
+def test_standing_is_found_whatever_is_carried(rise, kg):
+    """As without a rucksack, or a hand that pulls up, of a quarter's weight."""
+    hip, chair, F_z = rise
+    (plain,) = find(*rise)
+
+    def wrench(force):
+        return PlanarWrench(np.column_stack([0 * TIME, force]), 0 * TIME)
+
+    carried = wrench(0 * TIME - 9.81 * kg)
+    motion = SimpleNamespace(time=TIME, hip_z=hip, applied={"pelvis": carried})
+    plates = SimpleNamespace(total=lambda feet: F_z + 9.81 * kg)
+    rigid = SimpleNamespace(tree=SimpleNamespace(weight=WEIGHT))
+    assert _rises(motion, {}, wrench(chair), plates, rigid) == [plain]
 
 
 def test_a_push_before_seat_off_is_no_seat_off(rise):
