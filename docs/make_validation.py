@@ -141,7 +141,7 @@ def opencap() -> list[str]:
     trials = study.trials("prediction")
     a = _means(contact.rmsd())
     c = [_means([dx.predict(study, t, contact).rmsd(t)]) for t in trials]
-    sd = _means([spread(trials)])
+    sd = _means([spread(trials, study.model.tree)])
     names = [t.name for t in trials]
     lines = _header("RMSD", "A, rises 1–3", "the paper, A", *names,
                     "one SD of measured " + ", ".join(names),

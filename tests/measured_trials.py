@@ -8,7 +8,8 @@ from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.plant import nominal_model
 
-NAMES = nominal_model("coupled").coordinates
+TREE = nominal_model("coupled").tree
+NAMES = TREE.coordinates
 CUFFS = ("thigh", "pelvis", "shank")
 JOINTS = ("ankle", "knee", "hip", "exo_ankle", "exo_knee", "exo_hip")
 

@@ -316,8 +316,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "np.linspace(0.0, 1.0, _PHASE_SAMPLES)",
         ),
         (
-            "t.soles[side].cop_x - t.coordinate(root)",
-            "t.soles[side].cop_x",
+            "- tree.point_positions(t.q, foot, (0.0, 0.0))[:, 0]",
+            "",
         ),
         ("if at.moments is not None and loads", "if at.moments is not None"),
         ("FORCE_TOLERANCE = 1.0", "FORCE_TOLERANCE = 10.0"),

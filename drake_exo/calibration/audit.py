@@ -406,13 +406,17 @@ def rmsd(found: Trial, measured: Trial, loads: bool = True) -> dict:
     }
 
 
-def spread(trials: list[Trial]) -> dict:
+def spread(trials: list[Trial], tree: PlanarTree) -> dict:
     """One standard deviation over the measured trials, time-normalised.
 
     The mean over the movement of the standard deviation at each percent of
     it; the paper compares its RMSD with that. NaN for a single trial. Keys as
     in `rmsd`; joints of the device count in trials with encoders, the centre of
-    pressure is taken from the foot, where all trials load it.
+    pressure is taken from its own foot, where all trials load it.
+
+    Args:
+        trials: measured.
+        tree: of the model.
     """
     names = trials[0].coordinates
     sampled = [
@@ -442,14 +446,17 @@ def spread(trials: list[Trial]) -> dict:
         found = deviation(lambda t, c=cuff: t.cuffs[c].normal, having)
         interaction[cuff] = None if np.isnan(found) else float(found)
     grf, cop = {}, {}
-    root = names.root[0]
     for side in trials[0].soles:
+        foot = tree.root if side == "both" else f"foot_{side}"
         end = "" if side == "both" else f" {side}"
         force = deviation(lambda t, side=side: t.soles[side].force)
         grf |= _by_name((f"horizontal{end}", f"vertical{end}"), force)
         with np.errstate(invalid="ignore"):
             cop[side] = 1e3 * deviation(
-                lambda t, side=side: t.soles[side].cop_x - t.coordinate(root)
+                lambda t, side=side, foot=foot: (
+                    t.soles[side].cop_x
+                    - tree.point_positions(t.q, foot, (0.0, 0.0))[:, 0]
+                )
             )
     return {
         "angles_deg": of_joints(lambda t: t.q),

@@ -443,7 +443,7 @@ def phase_summary(
             rmsd(found, trial, loads=phase != "foot-ground")
             for found, trial in zip(result.trials, measured, strict=True)
         ],
-        "measured_sd": spread(result.problem.trials),
+        "measured_sd": spread(result.problem.trials, result.problem.tree),
     }
 
 

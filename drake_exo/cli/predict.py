@@ -355,7 +355,7 @@ def _summary(
         "rmsd": [
             p.rmsd(t) for p, t in zip(found, trials, strict=False) if p.success
         ],
-        "measured_sd": spread(trials),
+        "measured_sd": spread(trials, study.model.tree),
         "starts_from": (
             "their first measured state"
             if study.model.assembly.human.sides

@@ -1,14 +1,21 @@
 """RMSD and SD of signals whose differences the test has chosen."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-from measured_trials import JOINTS, NAMES, moved, seen
+from measured_trials import JOINTS, NAMES, TREE, moved, seen
 
-from drake_exo.calibration.audit import rms, rmsd, spread
+from drake_exo.calibration import audit
+from drake_exo.calibration.audit import rms, rmsd
 from drake_exo.measurement.sagittal import PlanarWrench
-from drake_exo.measurement.trial import CuffForce
+from drake_exo.measurement.trial import CuffForce, Trial
+from drake_exo.model.assembly import Assembly, Person
+from drake_exo.model.plant import Model
+from drake_exo.model.segments import scale_human
+
+spread = partial(audit.spread, tree=TREE)
 
 
 def test_names_are_as_these_tests_write_them_down():
@@ -191,6 +198,31 @@ def test_spread_of_pressure_where_all_trials_load_the_foot():
     F[:, 1] = 5.0
     never = replace(trials[0], ground=PlanarWrench(F, moment))
     assert np.isnan(spread([never, trials[1]])["cop_mm"])
+
+
+def test_pressure_of_two_legs_is_taken_from_each_foot():
+    """A walker's pelvis moves on over feet whose pressure stays in them."""
+    model = Model(Assembly(Person("two")), scale_human(70.0, 1.75))
+    tree, names = model.tree, model.coordinates
+    times = np.linspace(0.0, 1.0, 11)
+    trials = []
+    for speed, ahead in ((1.0, 0.06), (1.5, 0.06), (2.0, 0.09)):
+        q = np.zeros((11, len(names)))
+        q[:, 0] = speed * times
+        q[:, names.index("hip_left")] = 0.3 * times
+        feet = {}
+        for side in ("left", "right"):
+            foot = tree.point_positions(q, f"foot_{side}", (0.0, 0.0))
+            force = np.tile([0.0, 400.0], (11, 1))
+            at = foot[:, 0] + ahead * (side == "left")
+            feet[side] = PlanarWrench(force, -400.0 * at)
+        whole = feet["left"] + feet["right"]
+        trials.append(
+            Trial(f"{speed}", names, times, q, q, q, whole, feet=feet)
+        )
+    found = audit.spread(trials, tree)["cop_mm"]
+    assert found["left"] == pytest.approx(np.sqrt(300.0), rel=1e-3)
+    assert found["right"] == pytest.approx(0.0, abs=0.01)
 
 
 def test_one_trial_has_no_spread():

@@ -14,6 +14,7 @@ from drake_exo.calibration.results import read_trial, write_trial
 from drake_exo.cli import main, predict
 from drake_exo.files.output import Check, Verdict, write_json
 from drake_exo.measurement.trial import CuffForce
+from drake_exo.model.plant import nominal_model
 from drake_exo.papers import serrancoli
 from drake_exo.report.gathering import gather
 from drake_exo.virtual_laboratory import synthetic
@@ -41,7 +42,7 @@ def leave(folder, trials, phase, **more):
         "phase": phase,
         "subject": "virtual_subject",
         "rmsd": [rmsd(f, t) for f, t in zip(found, trials, strict=True)],
-        "measured_sd": spread(trials),
+        "measured_sd": spread(trials, nominal_model("coupled").tree),
         "success": True,
         **Verdict(()).summary(),
         **more,
