@@ -239,17 +239,22 @@ def _noise(movement: TrialProgram, problem, found, by_x, cut, order):
             continue
         R = by_target(term, problem, by_x)
         if term.role in responses:
+            # To the signals themselves, as ends are given: places and speeds
+            # share errors by rows of their own.
+            R = R @ term.rows[0]
             variables = problem.program.indices(term.variables)
             _add_ends(R, variables, problem.compiled, found)
-            responses[term.role].append((R, _finite(term.sigma)))
+            responses[term.role].append((R, term))
             continue
         sigma = _finite(term.sigma)
         for r in range(R.shape[2]):
             yield (R[:, :, r] * sigma[:, r]) @ values
     # Of the coordinates, and of each foot where there are two.
-    for (R, sigma), (R_v, _) in zip(*responses.values(), strict=True):
+    for (R, term), (R_v, _) in zip(*responses.values(), strict=True):
+        parts = np.linalg.inv(term.rows[0]) * _finite(term.sigma)[0]
+        R, R_v = R @ parts, R_v @ parts
         for d in range(R.shape[2]):
-            yield sigma[0, d] * (R[:, :, d] @ values + R_v[:, :, d] @ slopes)
+            yield R[:, :, d] @ values + R_v[:, :, d] @ slopes
 
 
 def _finite(sigma: np.ndarray) -> np.ndarray:

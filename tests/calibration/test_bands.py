@@ -195,6 +195,55 @@ def test_noise_of_signals_reaches_parameters():
     np.testing.assert_allclose(found[1], of_angles)
 
 
+def test_an_error_that_angles_share_is_one_of_their_speeds():
+    """However the cost weighs it beside noise that each has of its own."""
+    n, rng = 11, np.random.default_rng(5)
+    times, weights = np.linspace(0.0, 1.0, n), rng.uniform(0.5, 2.0, n)
+    shared = np.array([0.6, -0.6])
+    own = {"position": np.array([0.5, 0.1]), "velocity": np.array([4.0, 1.0])}
+    tracked, gains = [], {}
+    for k, (role, sigma) in enumerate(own.items()):
+        size = shared * (1.0, 8.0)[k]
+        covariance = np.diag(sigma**2) + np.outer(size, size)
+        d, V = np.linalg.eigh(covariance)
+        rows = sigma[:, None] * (V / np.sqrt(d)) @ V.T
+        term = Tracking(
+            2 * n * k + np.arange(2 * n).reshape(n, 2),
+            np.zeros((n, 2)),
+            sigma,
+            np.broadcast_to(rows, (n, 2, 2)),
+            role,
+        )
+        term.weights = weights
+        tracked.append(term)
+        gains[role] = np.linalg.inv(covariance)
+    problem = SimpleNamespace(
+        program=SimpleNamespace(indices=lambda v: v),
+        compiled=SimpleNamespace(
+            rows=SimpleNamespace(row_of=lambda v: np.full(len(v), -1)),
+            unknowns=SimpleNamespace(scale=np.ones(4 * n)),
+        ),
+    )
+    free = SimpleNamespace(by_bounds=np.zeros((3, 0)))
+    by_x = rng.normal(size=(3, 4 * n))
+    movement = SimpleNamespace(
+        grid=SimpleNamespace(times=times), tracked=tracked
+    )
+    found = sum(
+        part @ part.T
+        for part in module._noise(movement, problem, free, by_x, 6.0, 4)
+    )
+    values, slopes = noise_basis(times, 6.0, 4)
+    place, speed = by_x.reshape(3, 2, n, 2).transpose(1, 0, 2, 3)
+    to_place = place @ gains["position"] * weights[:, None]
+    to_speed = speed @ gains["velocity"] * weights[:, None]
+    both = np.einsum("pnd,nk->pdk", to_place, values)
+    both += np.einsum("pnd,nk->pdk", to_speed, slopes)
+    covariance = np.diag(own["position"] ** 2) + np.outer(shared, shared)
+    expected = np.einsum("pdk,de,qek->pq", both, covariance, both)
+    np.testing.assert_allclose(found, expected)
+
+
 def test_a_root_of_a_covariance():
     full = np.array([[4.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 9.0]])
     root = module._root(full)  # singular
