@@ -23,6 +23,7 @@ from drake_exo.collocation.kernels import (
     FootGroundKernel,
     PoseKernel,
 )
+from drake_exo.collocation.transcription import stands_for
 from drake_exo.collocation.trial_program import (
     Tracking,
     TrialProgram,
@@ -995,7 +996,9 @@ def ground_terms(
         rows = np.ones((len(loaded), 1, loads.shape[1]))
         rows[:, 0, 0::2] = np.where(loaded, measured.cop_x, 0.0)[:, None]
         # Of a foot in the air nothing is tracked.
-        reference = measured.force_z[loaded].mean() if loaded.any() else 1.0
+        reference = 1.0
+        if loaded.any():
+            reference = _mean(measured.force_z, at.times, loaded)
         spread = np.where(loaded, noise.cop_m * reference, np.inf)[:, None]
         terms += [
             Tracking(
@@ -1007,6 +1010,12 @@ def ground_terms(
             Tracking(loads, np.zeros((len(loaded), 1)), spread, rows),
         ]
     return terms
+
+
+def _mean(values: np.ndarray, times: np.ndarray, used=slice(None)) -> float:
+    """Of some values (n,) over time, wherever the grid is finer."""
+    lengths = stands_for(np.diff(times))
+    return float(np.average(values[used], weights=lengths[used]))
 
 
 def torque_terms(
@@ -1035,8 +1044,9 @@ def torque_terms(
         (names.follows(name) if name in names.device else name) or ""
         for name in names.joints
     ]
+    weight = _mean(at.ground.force_z, at.times)
     for side, wrench in at.feet.items():
-        share = np.clip(wrench.force_z / at.ground.force_z.mean(), 0.0, 1.0)
+        share = np.clip(wrench.force_z / weight, 0.0, 1.0)
         # Filters smear touch-down and lift-off.
         near = np.abs(at.times[:, None] - at.times) < _SMEARED_S
         share = np.where(near, share, 0.0).max(axis=1)

@@ -19,6 +19,7 @@ from drake_exo.calibration.phases import (
 )
 from drake_exo.calibration.problem import (
     foot_turn,
+    ground_terms,
     torque_terms,
     typical_jerk,
 )
@@ -182,6 +183,32 @@ def test_ground_reaction_and_cop_are_tracked(request, phase):
     weights[[0, -1]] *= 0.5
     expected += 0.5 * weights @ (10.0 * x / (0.002 * mean)) ** 2
     assert cost.bend(ground[:, 1], 10.0) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_mean_force_is_over_time_wherever_the_grid_is_finer():
+    """Noise of a foot's pressure and moments is what it is on an even grid."""
+    names = Coordinates(("pelvis_x", "pelvis_z", "pelvis_pitch", "hip_left"))
+    even = np.linspace(0.0, 1.0, 101)
+    fine = np.unique(np.r_[even, np.linspace(0.0, 0.2, 161)])
+
+    def spreads(t):
+        q, none = np.zeros((len(t), 4)), 0.0 * t
+        F_z = 100.0 + 600.0 * np.minimum(t / 0.2, 1.0)
+        foot = PlanarWrench(np.column_stack([none, F_z]), -0.1 * F_z)
+        at = Trial("walk", names, t, q, q, q, foot + foot, feet={"left": foot})
+        at = replace(at, moments=q[:, 3:])
+        movement = SimpleNamespace(
+            coordinates=names,
+            torque=q[:, 3:],
+            foot=lambda side: np.zeros((len(t), 3)),
+        )
+        terms = [
+            *ground_terms(movement, at, InteractionNoise()),
+            *torque_terms(movement, at, InteractionNoise()),
+        ]
+        return [terms[1].sigma[-1, 0], terms[2].sigma[-1, 0]]
+
+    np.testing.assert_allclose(spreads(fine), spreads(even), rtol=0.005)
 
 
 def test_phase_a_minimises_torques(phase_a):
