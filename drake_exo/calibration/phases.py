@@ -513,7 +513,11 @@ class PeriodicStep(PredictionProblem):
         grid, names = movement.grid, movement.coordinates
         at = trial.sample(grid.times)
         for side, bodies in self.feet.items():
-            swings = _middle(~at.feet[side].is_loaded)
+            swings = _middle(
+                ~at.feet[side].is_loaded,
+                grid.times,
+                at.duration / len(grid.parts),
+            )
             for body in bodies if len(swings) else ():
                 self.program.add_constraints(
                     f"{movement.name} clearance of {body}",
@@ -568,8 +572,19 @@ def mirrored(names: Coordinates) -> np.ndarray:
     return found
 
 
-def _middle(free: np.ndarray) -> np.ndarray:
-    """The middle half of the longest run of nodes (n,) without load."""
-    longest = max(runs(free), key=lambda r: r[1] - r[0], default=(0, 0))
-    quarter = (longest[1] - longest[0]) // 4
-    return np.arange(longest[0] + quarter, longest[1] - quarter)
+def _middle(free: np.ndarray, times: np.ndarray, step: float) -> np.ndarray:
+    """Nodes in the middle half of the longest time without load.
+
+    Args:
+        free: (n,) nodes without load.
+        times: (n,) of the nodes [s].
+        step: between nodes where the grid is not refined [s].
+    """
+    spans = [(times[a], times[b - 1]) for a, b in runs(free)]
+    counts = [round((end - start) / step) + 1 for start, end in spans]
+    if not counts:
+        return np.arange(0)
+    longest = int(np.argmax(counts))
+    start, end = spans[longest]
+    quarter = (counts[longest] // 4 - 1e-6) * step
+    return np.flatnonzero((times > start + quarter) & (times < end - quarter))

@@ -203,10 +203,38 @@ def test_toes_clear_the_ground_as_their_foot_does(step):
 def test_the_middle_half_of_the_longest_run():
     free = np.zeros(30, bool)
     free[2:10] = free[20:24] = True
-    np.testing.assert_array_equal(_middle(free), np.arange(4, 8))
+    times = 0.02 * np.arange(30)
+
+    def middle():
+        return _middle(free, times, 0.02)
+
+    np.testing.assert_array_equal(middle(), np.arange(4, 8))
     free[20:30] = True  # 10 long: a quarter is 2
-    np.testing.assert_array_equal(_middle(free), np.arange(22, 28))
-    assert len(_middle(np.zeros(5, bool))) == 0
+    np.testing.assert_array_equal(middle(), np.arange(22, 28))
+    free[:] = False
+    assert len(middle()) == 0
+
+
+def test_a_swing_has_the_same_middle_on_a_finer_grid(model, step):
+    """Where its foot lifts and comes down there are more nodes."""
+
+    def cleared(refined):
+        contact, settings = (
+            nominal_contact(model),
+            PredictionSettings(ends="periodic", solver=Solver(40.0)),
+        )
+        problem = PeriodicStep(
+            model, [step], contact, settings, refined=refined
+        )
+        (movement,), (batch,) = problem.movements, blocks(problem, "clearance")
+        pose = problem.program.indices(movement.poses["foot_right"])
+        return movement.grid.times[np.isin(pose[:, 0], batch.indices[:, 0])]
+
+    parts = np.ones(20, int)
+    parts[2:7] = 4
+    plain, fine = cleared({}), cleared({"step": parts})
+    np.testing.assert_allclose(fine[[0, -1]], plain[[0, -1]], atol=0.02)
+    assert len(fine) > len(plain)
 
 
 def test_effort_alone_is_minimised(model, step):
