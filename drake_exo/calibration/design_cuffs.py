@@ -77,7 +77,7 @@ def hold(model: Model, contact: ContactModel, trials: Sequence[Trial]) -> Hold:
         step[column] = _STEP_RAD
         change = slope(q + step) - slope(q - step)
         curvature[:, :, i] = change / (2.0 * _STEP_RAD)
-    # A cuff that slips has forces without a potential.
+    # Alike but for the differences, also where a cuff slips.
     curvature = 0.5 * (curvature + curvature.transpose(0, 2, 1))
     least, modes = np.linalg.eigh(curvature)
     worst = int(np.argmin(least[:, 0]))
