@@ -207,7 +207,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     ],
     "drake_exo/calibration/phases.py": [
         ("ahead[x] = speed * at.duration", "ahead[x] = speed"),
-        ("quarter = (longest[1] - longest[0]) // 4", "quarter = 0"),
+        ("quarter = (counts[longest] // 4 - 1e-6) * step", "quarter = -1e-6"),
         ("if c != NORMAL or cuff not in trial.cuffs", "if c != NORMAL"),
         ("*normal_force_terms(movement, at, noise, effects),", ""),
         ("at_ends[[0, -1]] = END_WEIGHT_S", "at_ends[0] = END_WEIGHT_S"),
