@@ -164,6 +164,18 @@ def test_an_optimum_that_is_none_is_told(design, status, remedy):
         assert (remedy in check.sentence) is not optimal
 
 
+@pytest.mark.parametrize("change", [-0.06, -0.04, 0.04, 0.06])
+def test_a_search_by_a_law_that_is_far_off_is_told(design, change):
+    problem, w = copy(design.problem), design.setup.settings.cost.weight
+    c = design.step.c / (1 + change)
+    problem.evaluate = lambda p: SimpleNamespace(c_tr=c + 7.0 * w, c_rot=7.0)
+    checks = replace(design, problem=problem).verdict().checks
+    (check,) = [k for k in checks if k.name == "plausibility.law"]
+    assert check.value == pytest.approx(change)
+    assert check.holds is (abs(change) < 0.05) and check.level == "note"
+    assert ("layer_m" in check.sentence) is not check.holds
+
+
 @pytest.mark.parametrize(
     ("divisions", "by_hand"),
     [((1, 1, 1), (1, 1, 2)), ((4, 3, 2), (5, 4, 3)),

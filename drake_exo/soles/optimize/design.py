@@ -45,6 +45,7 @@ from drake_exo.soles.simulation import FIRST_HISTORY, HISTORY, write_history
 
 _ACTIVE = 0.01  # of a scaled limit
 _FINER = 0.03  # of c, on a finer mesh
+_EXACT = 0.05  # of c, by the exact law with all samples
 _ROUNDING = 0.01  # of a limit: the smoothed law on the way is not exact
 
 
@@ -137,6 +138,15 @@ class Design:
         e = self.problem.evaluate(self.variables)
         return None if e is None else (e.c_tr, e.c_rot)
 
+    @property
+    def _told(self) -> dict[str, float]:
+        """Their cost c, and by what part of it the exact law's differs."""
+        if self.smoothed is None:
+            return {}
+        c_tr, c_rot = self.smoothed
+        c = c_tr - self.setup.settings.cost.weight * c_rot
+        return {"c_smoothed": c, "exact_change": self.step.c / c - 1}
+
     def summary(self) -> dict:
         """What summary.json says of it, but for checks and seconds."""
         now, first = self.step.summary(), self.first
@@ -182,11 +192,7 @@ class Design:
                 ],
                 "simulations": sum(o.simulations for o in self.optima),
             }
-        if self.smoothed is not None:
-            c_tr, c_rot = self.smoothed
-            c = c_tr - now["weight"] * c_rot
-            row |= {"c_smoothed": c, "exact_change": now["c"] / c - 1}
-        return row
+        return row | self._told
 
     @property
     def _surface(self) -> dict[str, float]:
@@ -315,6 +321,15 @@ class Design:
                 f"{remedy}"
             )
             note("optimum", bool(last.optimal), None, None, said)
+            change = self._told.get("exact_change", np.nan)
+            if np.isfinite(change):
+                note(
+                    "plausibility.law", bool(abs(change) <= _EXACT), change,
+                    _EXACT, "c by the exact law with all samples differs by "
+                    "so much from that of the search: give optimize.stages a "
+                    "smaller layer_m (stiff soles, light loads) or more "
+                    "samples",
+                )  # fmt: skip
         if finer is not None:
             change = finer["change"]
             value, said = change, (
