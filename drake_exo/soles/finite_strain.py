@@ -32,6 +32,7 @@ from drake_exo.soles.contact.law import (
     FLAT,
     ContactLaw,
     Ground,
+    at_rest,
     project,
     project_with_derivative,
 )
@@ -250,6 +251,7 @@ class FiniteStrainSolver:
         before = target.places_before(state.R, self.rest)
         frozen = replace(target, reference=before)
         point = self._evaluate(self._tau(state, frozen), state, frozen, 1.0)
+        point.tau = at_rest(point.tau, self.law, target.force)
         return _Linearisation(self, point, 0.0).wrench_response()
 
     def _planes(self, target, R):

@@ -190,6 +190,21 @@ def test_stiffness_matches_finite_differences(sole, history):
     assert checked == 3
 
 
+def test_nodes_that_came_to_rest_stick(sole, history):
+    """Where the load stays, no rounding tells slip from stick."""
+    solver = ContactSolver.of(sole, ContactLaw(0.8, sole.penalty))
+    found = []
+    for part in (1 - 1e-13, 1.0, 1 + 1e-13):
+        state = history.state(0)
+        target = Target(state.F.sum(axis=0), [-0.08, 0.03], history.P[0])
+        state.F[:, :2] *= part
+        lin = solver.linearise(state, target, history.P[0])
+        found.append(lin.cartesian_stiffness)
+    slips = np.hypot(*state.F[:, :2].T) > (0.8 - 1e-12) * state.F[:, 2]
+    assert (slips & (state.F[:, 2] > 0)).any()
+    np.testing.assert_allclose(found[::2], [found[1]] * 2, rtol=1e-9, atol=1e-3)
+
+
 def test_springs_stick_and_slip_as_in_closed_form():
     """A block on independent springs: forth and back with hysteresis."""
     m, k_n, k_t, mu = 9, 2e4, 1e4, 0.5

@@ -137,6 +137,23 @@ def firmly_sticking(tau: np.ndarray, law: ContactLaw) -> np.ndarray:
     return (tau[:, 2] > law.epsilon) & (rho <= cone)
 
 
+_EDGE = 1e-10  # of the whole force: what Newton and rounding leave of a node's
+
+
+def at_rest(tau: np.ndarray, law: ContactLaw, force: np.ndarray) -> np.ndarray:
+    """τ (m, 3) with what lies at the edge of the cone moved inside it.
+
+    Nodes there have slipped and come to rest, and stick; rounding would tell
+    one from the other. `force` is that on the whole [N], (3,).
+    """
+    left, along = _EDGE * np.linalg.norm(force), np.hypot(*tau[:, :2].T)
+    rests = np.abs(along - law.friction * tau[:, 2]) <= left
+    inside = np.maximum(1 - 2 * left / np.maximum(along, left), 0)
+    out = tau.copy()
+    out[rests, :2] *= inside[rests, None]
+    return out
+
+
 COLUMNS = ("x_m", "y_m", "z_m")
 ARRAYS = ("ground_x", "ground_y", "ground_z")
 _LEAST = 4  # grid lines along an axis, for cubic pieces

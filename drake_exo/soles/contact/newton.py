@@ -10,7 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drake_exo.soles.contact.law import FLAT, ContactLaw, Ground, project_node
+from drake_exo.soles.contact.law import (
+    FLAT,
+    ContactLaw,
+    Ground,
+    at_rest,
+    project_node,
+)
 from drake_exo.soles.contact.linearisation import ActiveSet, Linearisation, Turn
 from drake_exo.soles.elasticity import Sole
 from drake_exo.soles.numerics import (
@@ -307,6 +313,7 @@ class ContactSolver:
         """
         target = target.about_own_zmp(state.F, P, self.ground)
         point = self._evaluate(state, target, False, 1.0, P)
+        point.tau = at_rest(point.tau, self.law, target.force)
         return self._linearisation(point, target)
 
     def _evaluate(self, state, target, fixed_pose, scale, P=None) -> "_Point":
