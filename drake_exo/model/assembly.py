@@ -31,6 +31,7 @@ class Person:
         toes: "hinged" at the ball of the foot, or "rigid" with it.
         osim: scaled OpenSim model (.osim, version 4) that masses, lengths
             and inertias come from; de Leva's tables if left out.
+        trunk: pelvis, trunk, head and arms are one; there is no other yet.
 
     >>> Person("two").segments[:4]
     ('pelvis', 'thigh_left', 'shank_left', 'foot_left')
@@ -39,6 +40,7 @@ class Person:
     legs: Legs = "one"
     toes: Toes = "rigid"
     osim: Path | None = None
+    trunk: Literal["rigid"] = "rigid"
 
     @property
     def sides(self) -> tuple[str, ...]:
@@ -183,7 +185,8 @@ class Assembly:
         device: left out for a person alone.
         cuffs: name -> what it joins; any number.
         ground: segment -> its spheres by name, or with a place (x, z) of
-            their own; those of the person's soles if left out. Spheres of one
+            their own, or `same` as on the other leg; those of the person's
+            soles if left out. Spheres of one
             name share their parameters; `heel_left` and `heel_right` are two,
             each where a `heel` is.
 
@@ -194,11 +197,13 @@ class Assembly:
     human: Person = Person()
     device: DeviceFile | None = None
     cuffs: dict[str, CuffLinks] = field(default_factory=dict)
-    ground: dict[str, tuple[str, ...] | dict[str, Point]] = field(
-        default_factory=dict
+    ground: dict[str, tuple[str, ...] | dict[str, Point] | Literal["same"]] = (
+        field(default_factory=dict)
     )
 
     def __post_init__(self):
+        ground = {body: self._named(body) for body in self.ground}
+        object.__setattr__(self, "ground", ground)
         segments = self.human.segments
         if self.cuffs and self.device is None:
             raise InputError("cuffs need a device; name its file, or drop them")
@@ -227,6 +232,20 @@ class Assembly:
                 f"ground: the {loose[0][0]} foot never touches; give a "
                 f"segment of it ({', '.join(segments)}) a sphere"
             )
+
+    def _named(self, body: str):
+        """Spheres of a segment as `ground` has them, or the other leg's."""
+        named = self.ground[body]
+        if named != "same":
+            return named
+        other = {f"{without_side(body)}_{side}" for side in SIDES} - {body}
+        found = [self.ground[b] for b in other if b in self.ground]
+        if len(found) != 1 or found == ["same"]:
+            raise InputError(
+                f"ground: {body} is the same as nothing; name its spheres, or "
+                "those of that segment of the other leg"
+            )
+        return found[0]
 
     def _check(self, what: str, segment: str) -> None:
         known = self.human.segments

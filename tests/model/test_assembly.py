@@ -605,6 +605,12 @@ def test_loops_are_refused():
             "{human: {legs: two}, ground: {foot_left: [heel, toe]}}",
             "the right foot never touches",
         ),
+        ("{human: {trunk: bent}}", "human.trunk must be one of rigid"),
+        ("{ground: {foot: same}}", "foot is the same as nothing"),
+        (
+            "{human: {legs: two}, ground: {foot_left: same, foot_right: same}}",
+            "foot_left is the same as nothing",
+        ),
     ],
 )
 def test_descriptions_that_cannot_be_are_refused(text, words):
@@ -669,6 +675,17 @@ def test_a_link_turned_on_its_segment():
     # Toes up by 90 degrees: what lay ahead lies above.
     place = tree.point_positions(q, "shoe", (0.2, 0.0))
     np.testing.assert_allclose(place, [[0.1, 0.2]], atol=1e-12)
+
+
+@pytest.mark.parametrize("spheres", ["[heel, toe]", "{heel: [-0.1, -0.1]}"])
+def test_a_foot_may_be_described_as_the_same_as_the_other(spheres):
+    found = schema.load_text(
+        "{human: {legs: two, toes: rigid, trunk: rigid}, "
+        f"ground: {{foot_right: {spheres}, foot_left: same}}}}",
+        Assembly,
+    )
+    assert found.ground["foot_left"] == found.ground["foot_right"]
+    assert found.spheres["foot_left"] == found.spheres["foot_right"]
 
 
 def test_feet_may_have_parameters_of_their_own():
