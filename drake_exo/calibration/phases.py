@@ -46,7 +46,7 @@ from drake_exo.errors import InputError, check_type
 from drake_exo.files import schema
 from drake_exo.files.output import Progress
 from drake_exo.files.tables import runs
-from drake_exo.measurement.trial import Trial, as_trials
+from drake_exo.measurement.trial import Trial, as_trials, saw_device
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.plant import Model
 from drake_exo.nlp.program import AffineKernel
@@ -267,10 +267,7 @@ def check_is_measured(trials: Sequence[Trial]) -> None:
     Without angles, moments and mats there is nothing that cuffs could be
     calibrated with, without angles nothing that tells how they are strained.
     """
-    if not any(
-        t.cuffs or t.moments is not None or "encoders" in t.provenance
-        for t in trials
-    ):
+    if not any(map(saw_device, trials)):
         raise InputError(
             "nothing of the exoskeleton was measured: no trial has encoders, "
             "exo_moments or pressure, and the study has no device; say "

@@ -102,7 +102,6 @@ def run(args: argparse.Namespace) -> int:
     """Calibrate, audit, and write everything to --out."""
     study = read_study(args.study, args.data_root)
     # Bad input ends before a folder is made.
-    checks = list(study.gate("calibration", args.accept))
     only_foot = args.phase == "foot-ground" or (
         args.phase is None and not study.model.cuffs
     )
@@ -115,9 +114,10 @@ def run(args: argparse.Namespace) -> int:
     if not only_foot:
         check_has_cuffs(study.model)
         check_is_measured(study.trials("calibration"))
-        if args.calibration is not None:
-            contact, made_of = study.calibrated(args.calibration, args.accept)
-            checks += made_of
+    checks = list(study.gate("calibration", args.accept))
+    if not only_foot and args.calibration is not None:
+        contact, made_of = study.calibrated(args.calibration, args.accept)
+        checks += made_of
     folder = prepare_output_folder(
         args.out, args.force, args.resume, [*study.reads, args.calibration]
     )

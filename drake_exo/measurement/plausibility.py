@@ -29,7 +29,7 @@ from drake_exo.measurement.processing import (
 )
 from drake_exo.measurement.settings import Plates, Standing, TrialFiles
 from drake_exo.measurement.subject import SubjectModel
-from drake_exo.measurement.trial import Trial
+from drake_exo.measurement.trial import Trial, saw_device
 from drake_exo.model.assembly import SIDES
 from drake_exo.model.segments import LEG_JOINTS
 
@@ -100,8 +100,12 @@ LIMITS: dict[str, tuple[float, str, str]] = {
     "mat_still": (1.0, "N", "pressure"),
     "mat_sides": (0.9, "", "pressure"),
     "device_moment": (0.5, "N m", "exo_moments"),
+    "device_worn": (1.0, "trials", "encoders"),
 }
-_LEAST = {"foot_sides", "plate_sides", "encoder_sign", "mat_still"}
+_LEAST = {
+    *("foot_sides", "plate_sides", "encoder_sign", "mat_still"),
+    "device_worn",
+}
 _OF_WEIGHT = {
     *("newton", "euler", "mean_forward", "mean_sideways", "chair"),
     "device_moment",
@@ -536,7 +540,8 @@ def standing_checks(
             "standing",
             f"{standing.forces}: the plates bear {measured:.3g} kg {beyond}in "
             f"standing, subject.mass_kg says {stated:.3g} kg; "
-            + (_unit_of(borne) or "correct the mass or standing.plates"),
+            + (_unit_of(borne) or "correct the mass or standing.plates")
+            + (", or say 'model: human' if no device was worn" * bool(beyond)),
         )
     joints = subject.model.coordinates.human
     angles = dict(zip(joints, said["standing_angles_deg"][1:], strict=True))
@@ -1428,6 +1433,22 @@ def wearer_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
         )
 
 
+def worn_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
+    """Of a device of which nothing was measured: may be nobody wore it."""
+    trials = [e.trial for e in evidence]
+    if any(t.coordinates.device for t in trials) and not any(
+        map(saw_device, trials)
+    ):
+        yield _judged(
+            "device_worn",
+            0.0,
+            "all trials",
+            "nothing of the device was measured (encoders, exo_moments or "
+            "pressure); say 'model: human' if none was worn",
+            level="note",
+        )
+
+
 def plausibility(
     subject: SubjectModel, standing: Standing, evidence: Sequence[Evidence]
 ) -> tuple[Check, ...]:
@@ -1447,7 +1468,8 @@ def plausibility(
         checks += [*body_checks(e), *plate_checks(e), *device_checks(e)]
         checks += load_checks(e)
     checks += [*shear_checks(evidence), *force_checks(evidence)]
-    return (*checks, *between_trials(evidence), *wearer_checks(evidence))
+    checks += [*between_trials(evidence), *wearer_checks(evidence)]
+    return (*checks, *worn_checks(evidence))
 
 
 def refuse(checks: Iterable[Check], accepted: Iterable[str], study: str | Path):

@@ -457,8 +457,8 @@ def _over_the_cop(settings, model: Model, q, wrench, report) -> HumanParameters:
         raise InputError(
             f"{settings.standing.forces}: standing puts the trunk's centre of "
             f"mass {dx:.2f} m off the hips; check that markers and plates "
-            "share one origin, laboratory.force_axes, the unit of the plates' "
-            "points (m, not mm), and standing.plates"
+            "share one origin, laboratory.marker_axes and force_axes, the "
+            "unit of the plates' points (m, not mm), and standing.plates"
         )
     com = (pelvis.com_m[0] + dx, pelvis.com_m[1])
     return replace(human, pelvis=replace(pelvis, com_m=com))

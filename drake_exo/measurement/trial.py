@@ -413,3 +413,9 @@ def as_trials(trials) -> tuple[Trial, ...]:
                 f"two trials are called {name!r}; give each its own name"
             )
     return found
+
+
+def saw_device(trial: Trial) -> bool:
+    """Whether angles, moments or mats of the device were measured."""
+    known = trial.cuffs or trial.moments is not None
+    return bool(known or "encoders" in trial.provenance)

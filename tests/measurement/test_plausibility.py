@@ -767,16 +767,28 @@ def test_in_python_nothing_is_solved_without_a_warning(folder, monkeypatch):
 def test_a_device_that_nobody_measured_ends_before_anything_is_solved(
     folder, capsys
 ):
-    """`model` left out means a device; here there is none."""
+    """`model` left out means a device; here there is none.
+
+    Whatever else does not fit then follows from that.
+    """
     path = folder / "study.yaml"
+    assert "device_worn" not in failing(folder)
     text = path.read_text()
     text = text[: text.index("device:")].replace("  encoders: exo.csv\n", "")
     path.write_text(text.replace("model: coupled\n", ""))
+    edit(folder, "mass_kg: 70.0", "mass_kg: 84.0")
     out = folder / "out"
     assert main(["calibrate", str(path), "--out", str(out)]) == 2
     message = capsys.readouterr().err
     assert "nothing of the exoskeleton was measured" in message
     assert "say 'model: human'" in message and not out.exists()
+    told = failing(folder)
+    assert "or say 'model: human' if no device was worn" in told["mass"][0]
+    edit(folder, "mass_kg: 84.0", "mass_kg: 70.0")
+    assert main(["check", str(path)]) == 0
+    told = capsys.readouterr().out
+    assert "nothing of the device was measured (encoders, exo_moments" in told
+    assert "say 'model: human' if none was worn" in told
 
 
 def test_a_made_study_has_nothing_to_judge():

@@ -96,7 +96,7 @@ def test_a_trunk_is_moved_until_standing_is_in_balance(kind):
         assert report["trunk_com_shift_m"] == pytest.approx(shift)
     far = com + 0.3
     wrench = PlanarWrench.of(np.array([[0.0, 700.0, -far * 700.0]]))
-    with pytest.raises(InputError, match="centre of mass"):
+    with pytest.raises(InputError, match="marker_axes and force_axes"):
         subject._over_the_cop(settings, model, q, wrench, {})
 
 
