@@ -623,10 +623,10 @@ def test_what_is_asked_in_python_is_checked(study):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("order: 2", "order"),
+        ("order: 2", "order is 2, but must be at least 4"),
         ("cuffs: {thigh: {along_m: [0.1, 0.2]}}", "what it is today"),
         ("assistance: [1.1, 1.2]", "factor of today"),
-        ("limits: {support: -1}", "support"),
+        ("limits: {support: -1}", "support is -1"),
         (
             "population: {height_m: [1.7, 0.1], mass_kg: [70, 10], "
             "percentiles: [50, 50]}",

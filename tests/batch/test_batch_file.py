@@ -164,7 +164,7 @@ sweep: {filter.cutoff_hz: [5, 6], contact.friction: [0.5, 0.8]}
     assert own == {f.name for f in fields(Settings)}
     for key in SOLE_KEYS:
         check_key(Settings, key)
-        with pytest.raises(InputError):
+        with pytest.raises(InputError, match=f"'{key}' is no key"):
             check_key(StudyFile, key)
 
 

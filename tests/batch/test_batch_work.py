@@ -80,7 +80,7 @@ def refused(out):
 
 
 def test_bad_input_is_told_without_the_machine(tmp_path):
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match="mend it"):
         act(tmp_path, refused)
     found = read_outcome(tmp_path / "bert" / "check")
     assert (found.code, found.verdict) == (2, "failed")

@@ -103,7 +103,7 @@ def test_a_folder_is_a_batchs_or_empty(tmp_path):
     out = tmp_path / "deep" / "out"
     with run._prepared(out, [CALIBRATE]):
         again = run._prepared(out, [CALIBRATE])
-        with pytest.raises(InputError):  # one at a time
+        with pytest.raises(InputError, match="another run is writing there"):
             again.__enter__()
     (mark,) = out.iterdir()
     assert json.loads(mark.read_text()) == {"anna/calibrate": "k" * 64}

@@ -427,7 +427,7 @@ def test_priors_of_cuffs_are_those_of_the_settings(in_device, trial):
             found = cost((variables, start)) - cost()  # twice as stiff
         else:
             found = cost((variables, prior)) - cost()
-        assert found == pytest.approx(0.5, rel=1e-3)
+        assert found == pytest.approx(0.5)
 
 
 def test_a_phase_that_scales_cuffs_scales_damping_too(in_device):

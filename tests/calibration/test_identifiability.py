@@ -89,7 +89,7 @@ def test_sensitivity_is_that_of_the_forces(result):
         step[i] = 1e-5 * p.span
         change = (scaled(values + step) - scaled(values - step)) / 2e-5 / 4.0
         influence = np.sqrt((change**2).sum() / change.size)
-        assert found.influence[i] == pytest.approx(influence, rel=1e-3), p.name
+        assert found.influence[i] == pytest.approx(influence), p.name
 
 
 def test_other_radii_give_the_same_forces(result):
@@ -98,7 +98,7 @@ def test_other_radii_give_the_same_forces(result):
     assert all(r["success"] for r in rows)
     assert max(r["vertical_force_rmsd_n"] for r in rows) < 1.0
     lowest = [r["heel.z"] - r["heel.radius"] for r in rows]
-    assert np.ptp(lowest) < 0.002
+    assert np.ptp(lowest) < 1e-4
 
 
 def test_other_radii_may_lie_beyond_bounds_or_fail(result):

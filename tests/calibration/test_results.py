@@ -115,13 +115,6 @@ def test_contact_of_another_model_is_refused(change, words, in_device):
     assert "\n" not in str(error.value)
 
 
-def test_cuffs_are_refused_where_there_is_no_device(human, in_device):
-    trial = in_device.trials[0]
-    with pytest.raises(InputError) as error:
-        PredictionProblem(human, [trial], in_device.contact)
-    assert "\n" not in str(error.value)
-
-
 def test_model_and_trials_survive_disk(in_device, predicted, tmp_path):
     write_model(tmp_path, in_device.model)
     assert read_model(tmp_path) == in_device.model

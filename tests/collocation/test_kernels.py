@@ -150,7 +150,7 @@ def test_contact_curvature_equals_differences_of_the_jacobian(
     difference = (found - H) * np.abs(np.outer(size, size))
     largest = np.abs(H * np.outer(size, size)).max()
     picked = difference[:, keep][:, :, keep]
-    assert np.abs(picked).max() < 1e-3 * largest
+    assert np.abs(picked).max() < 2e-6 * largest
 
 
 def test_what_a_foot_misses_is_told_about_it_however_far_it_has_come(

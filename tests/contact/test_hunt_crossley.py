@@ -302,7 +302,7 @@ def test_wrench_uses_the_material_point_in_contact(law):
     assert wrench.force_x == pytest.approx(friction)
     assert friction < 0.0
     # The two points move the CoP by (x/2) F_x/F_z.
-    assert 0.5 * x * friction / pressed == pytest.approx(-0.0025, abs=5e-4)
+    assert 0.5 * x * friction / pressed == pytest.approx(-0.0025, abs=3e-5)
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -317,8 +317,8 @@ def test_a_frame_beside_the_sole_gives_the_same_spheres(planar):
     moved = replace(own, origin=own.origin - own.rotation @ away, middle=middle)
     there, here = fit(moved, 1, planar), fit(own, 1, planar)
     np.testing.assert_allclose(there.place, here.place + away, atol=1e-5)
-    assert there.force_error == pytest.approx(here.force_error, rel=1e-3)
-    assert moved.depth == pytest.approx(own.depth, abs=1e-3)
+    assert there.force_error == pytest.approx(here.force_error, rel=1e-5)
+    assert moved.depth == pytest.approx(own.depth)
 
 
 @pytest.mark.slow

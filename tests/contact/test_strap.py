@@ -142,16 +142,22 @@ def test_files_hold_designs(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("cuffs: {thigh: {strap_normal_n_m: 10}}", "1000"),
-        ("cuffs: {thigh: {along: 0.1}}", "along_m"),
+        ("cuffs: {thigh: {strap_normal_n_m: 10}}", "at least 1000 N/m"),
+        ("cuffs: {thigh: {along: 0.1}}", "did you mean 'along_m'"),
         (
             "assistance: {exo_knee: {angle_deg: [9, 3], factor: [1, 1]}}",
-            "order",
+            "angle_deg does not increase",
         ),
-        ("assistance: {exo_knee: {angle_deg: [1, 3], factor: [1]}}", "each"),
-        ("assistance: {exo_knee: {angle_deg: [1], factor: [-1]}}", "factor"),
-        ("gains: {exo_knee: {stiffness_nm_rad: -1}}", "stiffness_nm_rad"),
-        ("gains: {exo_knee: {support: 1, spring: 2}}", "spring"),
+        (
+            "assistance: {exo_knee: {angle_deg: [1, 3], factor: [1]}}",
+            "1 factors at 2 angles",
+        ),
+        (
+            "assistance: {exo_knee: {angle_deg: [1], factor: [-1]}}",
+            "factor.0. is -1",
+        ),
+        ("gains: {exo_knee: {stiffness_nm_rad: -1}}", "at least 0 N m/rad"),
+        ("gains: {exo_knee: {support: 1, spring: 2}}", "unknown key 'spring'"),
         ("gains: {exo_knee: {}}\nassistance: {exo_knee: {}}", "keep one"),
     ],
 )
@@ -162,7 +168,7 @@ def test_a_wrong_file_is_one_sentence(tmp_path, text, said):
 
 
 def test_a_missing_file_is_one_sentence(tmp_path):
-    with pytest.raises(InputError, match=r"design\.yaml"):
+    with pytest.raises(InputError, match=r"design\.yaml: cannot be read"):
         read_design(tmp_path)
 
 
@@ -271,8 +277,11 @@ def test_a_spline_over_the_movement():
     np.testing.assert_allclose(found[share < 0.0], 1.0)
     np.testing.assert_allclose(found[share > 1.0], 1.0)
     assert splines(1, 0.3) == pytest.approx(1.0)
-    for angles, over in (((1.0,), "movement"), ((), "angle")):
-        with pytest.raises(InputError):
+    for angles, over, words in (
+        ((1.0,), "movement", "leave angle_deg empty"),
+        ((), "angle", "1 factors at 0 angles"),
+    ):
+        with pytest.raises(InputError, match=words):
             Assistance(angles, (1.0,), over)
 
 

@@ -288,13 +288,21 @@ def test_a_plate_that_cannot_be_read_blocks_nothing_else(
     assert "plate 2: loaded 100 %" in said.lines[1]
 
 
-@pytest.mark.parametrize("share", [0.05, 0.3, 0.9, 0.95])
-def test_refuses_truncated_files(tmp_path, markers, plate, share):
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [
+        (0.05, "is not a C3D file; check the path"),
+        (0.3, "ends before its last frame"),
+        (0.9, "ends before its last frame"),
+        (0.95, "ends before its last frame"),
+    ],
+)
+def test_refuses_truncated_files(tmp_path, markers, plate, share, words):
     path = tmp_path / "a.c3d"
     write_c3d(path, markers, [plate], [design(2)], 10)
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(InputError, match=r"a\.c3d"):
+    with pytest.raises(InputError, match=rf"a\.c3d: {words}"):
         read_c3d(path)
 
 
@@ -432,7 +440,7 @@ def test_truncated_files_are_told_by_their_header(
     with pytest.raises(InputError, match="ends before its last frame"):
         decode(path)
     path.write_bytes(whole)  # complete, though without parameters
-    with pytest.raises(InputError, match=r"damaged|no frame rate"):
+    with pytest.raises(InputError, match="says no frame rate"):
         decode(path)
 
 

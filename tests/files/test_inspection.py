@@ -171,7 +171,7 @@ def test_a_bad_file_is_one_sentence(tmp_path, capsys, ending):
 @pytest.mark.parametrize("ending", ["c3d", "csv", "asc", "osim", "obj"])
 def test_a_pipe_or_a_folder_is_one_sentence(tmp_path, ending):
     for make, words in ((os.mkfifo, "no regular file"), (os.mkdir, "Is a dir")):
-        path = tmp_path / f"{words}.{ending}"
+        path = tmp_path / f"{make.__name__}.{ending}"
         make(path)
         with pytest.raises(InputError, match=words):
             inspect(path)

@@ -85,7 +85,7 @@ def test_legs_are_averaged_added_or_doubled(tmp_path):
             signal = read(path, EXO_JOINTS, legs, FILTER)
             expected = total * mean * ANGLES
             np.testing.assert_allclose(
-                signal.values[INNER], expected[INNER], atol=3e-3
+                signal.values[INNER], expected[INNER], atol=3e-6
             )
             assert signal.one_leg == (None if legs == "both" else legs)
 
@@ -104,7 +104,7 @@ def test_columns_that_nothing_reads_have_any_unit(tmp_path):
     write_csv_table(tmp_path / "e.csv", table, ["rad", "N", "m"])
     found = read_angles(tmp_path / "e.csv", ("motor",), "both", FILTER)
     np.testing.assert_allclose(
-        found.values[INNER, 0], ANGLES[INNER, 0], atol=1e-3
+        found.values[INNER, 0], ANGLES[INNER, 0], atol=4e-7
     )
 
 
@@ -114,8 +114,8 @@ def test_a_delay_moves_the_clock(tmp_path):
     signal = read_angles(path, EXO_JOINTS, "both", FILTER).delayed(0.1)
     at = np.linspace(0.5, 1.5, 20)
     q, v, _ = signal.motion(at)
-    np.testing.assert_allclose(q[:, 1], 0.6 * np.sin(at + 0.1), atol=2e-4)
-    np.testing.assert_allclose(v[:, 1], 0.6 * np.cos(at + 0.1), atol=2e-3)
+    np.testing.assert_allclose(q[:, 1], 0.6 * np.sin(at + 0.1), atol=4e-7)
+    np.testing.assert_allclose(v[:, 1], 0.6 * np.cos(at + 0.1), atol=4e-7)
 
 
 @pytest.mark.parametrize(

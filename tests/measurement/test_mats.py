@@ -195,9 +195,9 @@ def test_cells_lie_evenly_around_the_body(tmp_path):
     phi = np.arctan2(cells[..., 1], cells[..., 0])
     share = (np.arange(8) + 0.5) / 8
     expected = np.pi / 4 * (1.0 - 2.0 * share)
-    np.testing.assert_allclose(phi, np.tile(expected, (5, 1)), atol=0.01)
+    np.testing.assert_allclose(phi, np.tile(expected, (5, 1)), atol=3e-5)
     np.testing.assert_allclose(
-        cells[:, 0, 2], 0.15 + 0.1 * (np.arange(5) + 0.5) / 5, atol=1e-4
+        cells[:, 0, 2], 0.15 + 0.1 * (np.arange(5) + 0.5) / 5
     )
 
 
@@ -207,7 +207,7 @@ def test_cells_may_be_placed_one_by_one(tmp_path):
     (tmp_path / "cells.csv").write_text("\n".join(rows))
     where = scan(corners=None, cells="cells.csv")
     cells = place_cells(surface, where, 1, 2, tmp_path)
-    np.testing.assert_allclose(cells[0], [RADIUS, 0.0, 0.2], atol=1e-4)
+    np.testing.assert_allclose(cells[0], [RADIUS, 0.0, 0.2], atol=1e-8)
     assert cells[1, 1] > 0.005
     with pytest.raises(InputError, match="each of the 4 cells once"):
         place_cells(surface, where, 2, 2, tmp_path)
@@ -246,11 +246,11 @@ def test_refuses_files_that_are_no_scan(tmp_path):
         read_surface(path, scan())
     path = write(tmp_path / "cut.stl", *cylinder(12, 3))
     path.write_bytes(path.read_bytes()[:-500])
-    with pytest.raises(InputError, match=r"cut\.stl"):
+    with pytest.raises(InputError, match=r"cut\.stl: is not a readable mesh"):
         read_surface(path, scan())
     mesh = meshio.Mesh(np.eye(3), [("line", np.array([[0, 1], [1, 2]]))])
     meshio.write(tmp_path / "lines.ply", mesh)
-    with pytest.raises(InputError, match=r"lines\.ply"):
+    with pytest.raises(InputError, match=r"lines\.ply: holds no triangles"):
         read_surface(tmp_path / "lines.ply", scan())
 
 
@@ -315,7 +315,7 @@ def test_known_load_on_a_curved_surface(folder):
     load = 1e3 * KPA * 2 * RADIUS * np.sin(np.pi / 4) * 0.1
     assert load == pytest.approx(226.3, abs=0.1)
     np.testing.assert_allclose(found.normal, -load, rtol=5e-3)
-    np.testing.assert_allclose(found.force[:, 1:], 0.0, atol=0.5)
+    np.testing.assert_allclose(found.force[:, 1:], 0.0, atol=1e-9)
     assert found.segment == "shank"
     # Not the plain sum of pressure times area, which is 11 % more.
     assert 1.1 * load < 1e3 * KPA * AREA * 40
@@ -341,7 +341,7 @@ def test_a_segment_that_leant_in_the_scan(folder):
     write_pressure(folder / "p.csv", MAT)
     (leant,) = forces(folder, {"m": replace(MAT, scan=scan)}, "m")
     np.testing.assert_allclose(leant.normal, -226.3, rtol=5e-3)
-    np.testing.assert_allclose(leant.force[:, 2], 0.0, atol=0.5)
+    np.testing.assert_allclose(leant.force[:, 2], 0.0, atol=1e-5)
     scan = replace(scan, segment_axis=None)
     (upright,) = forces(folder, {"m": replace(MAT, scan=scan)}, "m")
     np.testing.assert_allclose(upright.normal, -226.3 * c, rtol=5e-3)

@@ -68,7 +68,7 @@ def test_starts_seated_and_ends_standing(loaded):
     _, trial = loaded
     part = trial.provenance["part"]
     assert part["seated_s"] == 0.8
-    assert trial.start_s == pytest.approx(part["seat_off_s"] - 0.8, abs=0.006)
+    assert trial.start_s == pytest.approx(part["seat_off_s"] - 0.8)
     assert SEAT_OFF[0] - 0.15 < part["seat_off_s"] < SEAT_OFF[0] + 0.02
     chair = trial.chair.array
     assert chair[0, 1] > 500.0 and not chair[-1].any()
@@ -107,7 +107,7 @@ def test_moments_are_the_true_ones(loaded, made):
     human = (truth.resultant - truth.exo)[at]
     off = np.abs(trial.moments[:, :3] - human)
     assert np.sqrt((off**2).mean(axis=0)).max() < 2.0 and off.max() < 8.0
-    assert np.abs(trial.moments[:, 3:] - truth.exo[at]).max() < 0.3
+    assert np.abs(trial.moments[:, 3:] - truth.exo[at]).max() < 0.03
     said = trial.provenance["moments"]
     assert said["exoskeleton"] == "device model"
 
@@ -162,7 +162,7 @@ def test_a_share_of_the_chair_on_the_thighs(made, loaded):
         0, 0
     ]
     moment = trial.chair.moment[0] + hip * trial.chair.force_z[0]
-    assert np.abs(change[0, 2]) == pytest.approx(0.4 * abs(moment), abs=1.0)
+    assert np.abs(change[0, 2]) == pytest.approx(0.4 * abs(moment), abs=2e-7)
 
 
 def test_trials_with_chair_and_mats_survive_saving(tmp_path, loaded):
@@ -228,9 +228,9 @@ def test_a_chair_weighs_nothing(files, loaded):
     write_table(folder / "sts.mot", replace(table, values=values))
     _, (trial,) = load(study, folder)
     off = trial.chair.force_z - loaded[1].chair.force_z
-    assert np.abs(off).max() < 1.0
+    assert np.abs(off).max() < 1e-8
     off = trial.ground.force_z - loaded[1].ground.force_z
-    np.testing.assert_allclose(off, 12.0, atol=0.1)
+    np.testing.assert_allclose(off, 12.0)
 
 
 def test_plates_that_somebody_stands_on_are_not_empty(files):
@@ -245,9 +245,7 @@ def test_a_late_force_clock_is_found_by_feet_and_chair(files):
     write_table(folder / "sts.mot", replace(table, time=table.time + 0.013))
     found = with_laboratory(study, estimate_force_delay=True)
     _, (trial,) = load(found, folder)
-    assert trial.provenance["delays_s"]["forces"] == pytest.approx(
-        0.013, abs=0.002
-    )
+    assert trial.provenance["delays_s"]["forces"] == pytest.approx(0.013)
 
 
 def test_a_lag_that_is_found_is_that_of_all_forces(files):
@@ -270,7 +268,7 @@ def test_a_lag_that_is_found_is_that_of_all_forces(files):
     subject = fit_subject(study, folder)
     found = process(study.trials[0], subject, study, folder)
     lag = found.clocks["forces"].lag_s
-    assert lag == pytest.approx(0.1, abs=0.002)
+    assert lag == pytest.approx(0.1)
     time = found.motion.time
     assert end - lag - 0.011 < time[-1] <= found.forces.time[-1] + 1e-9
     for one in (found.motion.q, found.motion.legs["left"], found.chair.moment):

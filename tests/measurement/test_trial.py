@@ -267,7 +267,7 @@ def test_arrays_are_real_numbers_whatever_they_are_given_as(trial, tmp_path):
         replace(trial, q=trial.q + 1j)
     assert CuffForce([1.0, 2.0]).normal.shape == (2,)
     assert PlanarWrench([[0, 700]], [-70]).cop_x[0] == pytest.approx(0.1)
-    with pytest.raises(ValueError, match="give"):
+    with pytest.raises(ValueError, match=r"give \(N, 2\) and \(N,\)"):
         PlanarWrench(np.zeros((3, 3)), np.zeros(3))
 
 

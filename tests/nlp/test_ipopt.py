@@ -314,7 +314,7 @@ def test_drakes_own_solver_starts_where_it_is_told_to():
     for start, valley in ((3.0, np.pi), (-9.6, -3.0 * np.pi)):
         found = ipopt.solve_with_drake(program, np.array([start]))
         assert found.success
-        assert found.raw_values()[0] == pytest.approx(valley, abs=1e-3)
+        assert found.raw_values()[0] == pytest.approx(valley, abs=1e-7)
         assert found.infeasibility == 0.0
 
 

@@ -57,7 +57,7 @@ def test_second_derivative_by_complex_step_is_finite_everywhere():
     minus = project_with_derivative(tau - h * direction, SMOOTH)[1]
     difference = (plus - minus) / (2 * h)
     error = np.abs(second - difference).max(axis=(1, 2))
-    assert np.quantile(error, 0.99) < 1e-4  # a few straddle a branch
+    assert np.quantile(error, 0.99) < 1e-8  # a few straddle a branch
     assert np.isfinite(second).all()
 
 
@@ -68,7 +68,7 @@ def test_smoothed_plus_is_twice_differentiable_at_its_ends():
         assert v == pytest.approx(value, abs=1e-8)
         assert s == pytest.approx(slope, abs=1e-8)
         curvature = (smooth_plus(end * (1 - 1e-5), 1.0)[1] - slope) / 1e-5
-        assert abs(curvature) < 1e-3
+        assert abs(curvature) < 3e-5
 
 
 def test_exact_law_is_the_projection_on_the_cone():
@@ -105,5 +105,5 @@ def test_without_friction_nothing_is_tangential():
 
 
 def test_negative_friction_is_refused():
-    with pytest.raises(InputError, match="friction"):
+    with pytest.raises(InputError, match="must not be negative"):
         ContactLaw(-0.1, 1e4)

@@ -437,13 +437,13 @@ def test_each_view_says_its_name_above_itself(sheet):
         place = axis.get_position().get_points() * inches
         words = boxes[view.name]
         middle = words[:, 0].mean()
-        assert middle == pytest.approx(place[:, 0].mean(), abs=0.02)
+        assert middle == pytest.approx(place[:, 0].mean())
         assert inches[1] - 0.3 < words[1, 1] < inches[1] - 0.08
         assert words[0, 1] > place[1, 1]
     for row, sole in zip(axes, soles, strict=True):
         top = row[0].get_position().y1 * inches[1]
         for words in sole[:2]:
-            assert boxes[words][1, 1] == pytest.approx(top, abs=0.03)
+            assert boxes[words][1, 1] == pytest.approx(top)
         assert boxes[sole[0]][0, 0] < 0.2
         assert boxes[sole[1]][0, 0] > boxes[sole[0]][1, 0]
 

@@ -85,7 +85,7 @@ def test_candidates_lie_on_the_ground_with_a_facet(ground):
         assert np.degrees(np.arccos(pose.R[2, 2])) <= 80.1 + 6
     # On the level half first: its support holds the ZMP.
     n = np.array([0, 0, 1.0]) if ground.is_flat else ground.normal(lP)
-    assert poses[0].R[:, 2] @ n == pytest.approx(1.0, abs=1e-3)
+    assert poses[0].R[:, 2] @ n == pytest.approx(1.0)
 
 
 def test_a_facet_that_holds_the_zmp_comes_first():

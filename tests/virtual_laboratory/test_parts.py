@@ -274,8 +274,8 @@ def test_cells_lie_about_the_middle_of_a_face(mat):
     centres, inward, around, along = cells(mat, MODEL)
     front = 1.0 if mat.face == "front" else -1.0
     assert (front * centres[:, 0] > 0.0).mean() > 0.6
-    assert centres[:, 1].mean() == pytest.approx(0.0, abs=1e-4)
-    assert around.mean() == pytest.approx(0.0, abs=1e-3)
+    assert centres[:, 1].mean() == pytest.approx(0.0, abs=1e-9)
+    assert around.mean() == pytest.approx(0.0, abs=1e-9)
     assert along.mean() == pytest.approx(0.0, abs=1e-12)
     cuff = HUMAN.cuff_m(mat.segment)[1]
     np.testing.assert_allclose(centres[:, 2], cuff + along)

@@ -96,8 +96,8 @@ def test_at_rest_nothing_is_left_over(truth):
     assert at["ankle"] - at[root[2]] == pytest.approx(shank)
     assert at["knee"] == stood.q[0][4] and at["hip"] == stood.q[0][5]
     trial = simulate("still", truth, stood)
-    np.testing.assert_allclose(trial.v, 0.0, atol=5e-3)
-    np.testing.assert_allclose(trial.q[0], q, atol=3e-3)
+    np.testing.assert_allclose(trial.v, 0.0, atol=7e-4)
+    np.testing.assert_allclose(trial.q[0], q, atol=2e-4)
     np.testing.assert_allclose(
-        trial.ground.force_z, truth.model.tree.weight, rtol=5e-3
+        trial.ground.force_z, truth.model.tree.weight, rtol=3e-5
     )

@@ -116,7 +116,7 @@ def test_a_seat_bears_its_load_at_the_static_depth():
     z = 0.45 - depth + seat.radius_m - seat.z_m
     w = seat_wrench(seat, (0.2, z), (1.0, 0.0), (0.0, 0.0, 0.0))
     assert w.force_z == pytest.approx(500.0, rel=0.05)  # smoothed
-    assert w.force_x == pytest.approx(0.0, abs=1.0)
+    assert w.force_x == pytest.approx(0.0, abs=1e-9)
     # Simbody's point, half the depth below the surfaces' middle.
     assert w.point_x == pytest.approx(0.2 + seat.x_m, abs=1e-6)
     assert w.point_z == pytest.approx(0.45, abs=depth)

@@ -341,8 +341,8 @@ def test_the_used_part_of_a_walk_is_a_cycle(monkeypatch, alone):
     monkeypatch.setattr(two_legs, "simulate", lambda *_, **__: happened)
     _, at = two_legs._walks(subject, "walk_1", 0.5, None, None, 0)
     assert at == {
-        "start_s": pytest.approx(0.62 + 0.05, abs=0.011),
-        "end_s": pytest.approx(1.72 + 0.05, abs=0.011),
+        "start_s": pytest.approx(0.62 + 0.05),
+        "end_s": pytest.approx(1.72 + 0.05),
     }
 
 

@@ -241,8 +241,8 @@ def test_what_a_campaign_was_made_with(tmp_path):
             read_about(tmp_path)
     for damaged in ("{}", '{"seed": "x"}', "[1]"):
         path.write_text(damaged)
-        with pytest.raises(InputError, match=r"truth\.json"):
+        with pytest.raises(InputError, match=r"truth\.json: is damaged"):
             read_about(tmp_path)
     path.unlink()
-    with pytest.raises(InputError, match="truth"):
+    with pytest.raises(InputError, match=r"truth\.json: cannot be read"):
         read_about(tmp_path)
