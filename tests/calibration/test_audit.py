@@ -149,12 +149,16 @@ def test_what_a_simulation_differs_by_is_named_by_signal(resimulated, base):
     def cuffs(trial):
         return shifted(trial, thigh=[8.0, -2.0, 99.0], pelvis=[1.0, 5.0, 0.0])
 
-    found = resimulated(ground=ground, q=motion, cuffs=cuffs)
+    def moments(trial):
+        return trial.moments + np.array([0.0, 1.0, 0.0, 0.0, -9.0, 2.0])
+
+    found = resimulated(ground=ground, q=motion, cuffs=cuffs, moments=moments)
     assert found.trial == "rise1"
     assert (found.force_n, found.moment_nm) == base
     assert found.simulated_grf_n == pytest.approx((3.0, 7.0))
     assert found.simulated_angles_deg == pytest.approx(6.0)
     assert found.simulated_interaction_n == pytest.approx(8.0)
+    assert found.simulated_moments_nm == pytest.approx(9.0)
 
 
 def test_differences_of_a_simulation_are_root_mean_squares(

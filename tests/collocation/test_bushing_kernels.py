@@ -34,11 +34,6 @@ SLIP = 0.01
 PRELOAD = (0.01, -0.02, 0.05)
 
 
-@pytest.fixture(scope="module")
-def tree(nominal):
-    return nominal("coupled").tree
-
-
 @pytest.fixture
 def rng():
     return np.random.default_rng(3)

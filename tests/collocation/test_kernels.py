@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from kernel_derivatives import check_jacobian, differences
 from pydrake.multibody.tree import MultibodyForces
 
 from drake_exo.collocation.bushing_kernels import (
@@ -27,44 +28,11 @@ from drake_exo.contact.parameters import nominal_contact
 CUFFS = ("shank", "thigh", "pelvis")
 
 
-@pytest.fixture(scope="module")
-def plant(nominal):
-    return nominal("coupled").plant()
-
-
-@pytest.fixture(scope="module")
-def tree(nominal):
-    return nominal("coupled").tree
-
-
 @pytest.fixture
 def contact_kernel(nominal):
     """Function of the law."""
     model = nominal("coupled")
     return lambda law: FootGroundKernel(nominal_contact(model, law).ground)
-
-
-def _differences(kernel, x, data):
-    J = np.zeros((len(x), *kernel.sparsity.shape))
-    for k in range(x.shape[1]):
-        h = 1e-6 * max(1.0, np.abs(x[:, k]).max())
-        up, down = x.copy(), x.copy()
-        up[:, k] += h
-        down[:, k] -= h
-        J[:, :, k] = kernel.evaluate(up, data) - kernel.evaluate(down, data)
-        J[:, :, k] /= 2 * h
-    return J
-
-
-def _check(kernel, x, data=None):
-    """Derivatives, and that the pattern misses none."""
-    J = kernel.jacobian(x, data)
-    expected = _differences(kernel, x, data)
-    scale = np.abs(expected).max(axis=(0, 1)) + 1e-3
-    error = np.abs(J - expected).max(axis=(0, 1)) / scale
-    assert error.max() < 1e-6, f"input {error.argmax()}: {error.max():.1e}"
-    assert np.abs(J[:, ~kernel.sparsity]).max(initial=0.0) == 0.0
-    assert (np.abs(J) > 0).any(axis=0)[kernel.sparsity].mean() > 0.5
 
 
 def _check_tight(kernel, x, first):
@@ -92,7 +60,7 @@ def _contact_inputs(law, n=40):
 def test_dynamics_derivatives(tree):
     x = _states(5, 36)
     x[:, 27:] *= 100.0
-    _check(DynamicsKernel(tree), x)
+    check_jacobian(DynamicsKernel(tree), x)
     _check_tight(DynamicsKernel(tree), x, 27)
 
 
@@ -125,7 +93,7 @@ def test_dynamics_equal_drakes_with_a_wrench_on_the_foot(plant, tree):
 
 @pytest.mark.parametrize("law", ["paper", "simbody"])
 def test_contact_derivatives(contact_kernel, law):
-    _check(contact_kernel(law), _contact_inputs(law))
+    check_jacobian(contact_kernel(law), _contact_inputs(law))
 
 
 @pytest.mark.parametrize("law", ["paper", "simbody"])
@@ -139,14 +107,9 @@ def test_contact_curvature_equals_differences_of_the_jacobian(
     # Typical sizes make entries comparable; the radius is left out.
     size = np.r_[np.full(6, 0.01), np.ones(3), x[0, 9:]]
     keep = np.delete(np.arange(19), [13, 18])
-    H = np.zeros_like(found)
-    for k in keep:
-        h = 1e-6 * max(1.0, abs(x[0, k]))
-        up, down = x.copy(), x.copy()
-        up[:, k] += h
-        down[:, k] -= h
-        J = kernel.jacobian(up, None) - kernel.jacobian(down, None)
-        H[:, k] = np.einsum("no,noi->ni", weights, J / (2 * h))
+    H = differences(
+        lambda x: np.einsum("no,noi->ni", weights, kernel.jacobian(x, None)), x
+    )
     difference = (found - H) * np.abs(np.outer(size, size))
     largest = np.abs(H * np.outer(size, size)).max()
     picked = difference[:, keep][:, :, keep]
@@ -217,7 +180,7 @@ def test_a_wrong_contact_derivative_is_caught(monkeypatch, contact_kernel):
         "drake_exo.collocation.kernels.sphere_wrench_derivatives", wrong
     )
     with pytest.raises(AssertionError, match="input"):
-        _check(contact_kernel("simbody"), _contact_inputs("simbody"))
+        check_jacobian(contact_kernel("simbody"), _contact_inputs("simbody"))
 
 
 def test_coupled_dynamics_derivatives(tree):
@@ -225,7 +188,7 @@ def test_coupled_dynamics_derivatives(tree):
     bushings = [BushingKinematics(tree, s, preload) for s in CUFFS]
     x = _states(5, 51)
     x[:, 27:45] *= 50.0
-    _check(CoupledDynamicsKernel(tree, bushings), x)
+    check_jacobian(CoupledDynamicsKernel(tree, bushings), x)
 
 
 @pytest.mark.parametrize("segment", CUFFS)
@@ -237,7 +200,7 @@ def test_bushing_and_energy_derivatives(tree, segment):
     x[:, 23:] = [2000.0, 5000.0, 50.0, 0.0]
     x[10:, -1] = 0.002
     kernel = BushingKernel(bushing, (10.0, 10.0, 0.1))
-    _check(kernel, x)
+    check_jacobian(kernel, x)
     _check_tight(kernel, x, 18)
     # Springs alone are curved, not by rates nor by the force itself.
     np.testing.assert_array_equal(
@@ -245,7 +208,7 @@ def test_bushing_and_energy_derivatives(tree, segment):
     )
     columns = [*range(9), *range(21, 27)]
     weight = np.linspace(0.5, 2.0, len(x))[:, None]
-    _check(EnergyKernel(bushing, [0, 2], 1.0), x[:, columns], weight)
+    check_jacobian(EnergyKernel(bushing, [0, 2], 1.0), x[:, columns], weight)
 
 
 @pytest.mark.parametrize("segment", CUFFS)
@@ -290,4 +253,4 @@ def test_soles_clear_the_ground():
     upright[0, 2] = np.pi / 2  # toes up: places ahead are above
     found = kernel.evaluate(upright, None)
     np.testing.assert_allclose(found, [[-0.01, 0.2]], atol=1e-12)
-    _check(kernel, _states(20, 6))
+    check_jacobian(kernel, _states(20, 6))

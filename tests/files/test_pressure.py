@@ -87,7 +87,7 @@ def refusal(reader, path, *args):
             asc(total=0.25).replace("rate [Hz]:   50", "rate [Hz]:   100"),
             "announces 100 Hz, but its time column runs at 50 Hz",
         ),
-        (asc()[:-30], "truncated"),
+        (asc()[:-30], "has 3 values where 6"),
         (asc().replace("time[secs]", "t"), "starting with time[secs]"),
         (asc().replace("   2.500\t", "     abc\t", 1), "text among numbers"),
         (asc().replace("   0.10000\t", "   0.08000\t"), "does not increase"),
