@@ -7,6 +7,7 @@ from pathlib import Path
 import ezc3d
 import numpy as np
 import pytest
+from refusals import refusal
 
 from drake_exo.errors import InputError
 from drake_exo.files import c3d as c3d_files
@@ -264,10 +265,7 @@ def test_refuses_damaged_parameters(
     tmp_path, markers, plate, kind, change, words
 ):
     path = edited(tmp_path, markers, plate, kind, change)
-    with pytest.raises(InputError) as caught:
-        dict(read_c3d(path).plates)
-    message = str(caught.value)
-    assert "a.c3d" in message and words in message and "\n" not in message
+    assert words in refusal(lambda path: dict(read_c3d(path).plates), path)
 
 
 def test_a_plate_that_cannot_be_read_blocks_nothing_else(

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from refusals import refusal
 
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import (
@@ -40,15 +41,6 @@ def write(tmp_path, text, name="a.mot"):
 def read_coordinates(path):
     """Joint angles, in radians whatever the file has."""
     return read_table(path).in_radians()
-
-
-def refusal(reader, path):
-    with pytest.raises(InputError) as caught:
-        reader(path)
-    message = str(caught.value)
-    assert path.name in message
-    assert "\n" not in message
-    return message
 
 
 def test_reads_degrees_as_radians(tmp_path, knee):

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from refusals import refusal
 
 from drake_exo.errors import InputError
 from drake_exo.files.pressure import read_novel_asc, read_pressure_csv
@@ -67,14 +68,6 @@ def test_without_masks_all_cells_are_one_mat(tmp_path):
     )
     found = read_novel_asc(write(tmp_path, text.replace("\n", "\r\n")))
     assert found.groups["mat"].size == 5
-
-
-def refusal(reader, path, *args):
-    with pytest.raises(InputError) as caught:
-        reader(path, *args)
-    message = str(caught.value)
-    assert path.name in message and "\n" not in message
-    return message
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,18 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
+
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact.law import FLAT
+from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.results import Step
 from drake_exo.soles.settings import Setup, Stage
+from drake_exo.soles.simulation import sigma_max_translation, sigma_min_rotation
+
+# The heel's edge of a brick of 0.23 m by 0.13 m by 0.03 m touches first.
+START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 
 
 def small_problem(
@@ -42,3 +49,9 @@ def complementarity(history, law, start, places, begins=(0,), ground=FLAT):
             setup=SimpleNamespace(start=start, load=load, ground=ground),
         )
     )
+
+
+def measure(history, by_tr, by_rot):
+    """Weighted sum of c_tr and c_rot over the samples."""
+    by_tr = by_tr @ sigma_max_translation(history.K_c)
+    return by_tr + by_rot @ sigma_min_rotation(history.K_c)

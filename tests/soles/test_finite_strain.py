@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from as_load import as_load
 from scipy.spatial.transform import Rotation
-from small_parts import complementarity
+from small_parts import START, complementarity
 
 from drake_exo.soles.contact.law import ContactLaw
 from drake_exo.soles.contact.newton import (
     ContactSolver,
     Convergence,
-    Start,
     Target,
 )
 from drake_exo.soles.elasticity import MATERIALS, Sole
@@ -26,8 +25,6 @@ from drake_exo.soles.finite_strain import (
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation
 from drake_exo.soles.simulation import StepHistory, simulate
-
-START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 
 
 def _load(count=5):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_parts import complementarity
+from small_parts import complementarity, measure
 
 from drake_exo.errors import InputError
 from drake_exo.soles.animation import SoleMotion, write_animation
@@ -184,17 +184,6 @@ def test_finite_strain_stands_on_bumps():
     assert small.F[1, :, 2].max() > 30.0
 
 
-def _measure(history, by_tr, by_rot):
-    from drake_exo.soles.simulation import (
-        sigma_max_translation,
-        sigma_min_rotation,
-    )
-
-    return by_tr @ sigma_max_translation(
-        history.K_c
-    ) + by_rot @ sigma_min_rotation(history.K_c)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("count", "leans"), [(1, 0), (4, 0), (3, 5e-3)])
 def test_gradients_on_bumps_match_differences(count, leans, monkeypatch):
@@ -229,7 +218,7 @@ def test_gradients_on_bumps_match_differences(count, leans, monkeypatch):
     pull = rng.standard_normal((count, 5)) * [1, 1, 1, 1e-3, 1e-3]
 
     def differences(change, h):
-        ends = [_measure(change(s * h), by_tr, by_rot) for s in (1, -1)]
+        ends = [measure(change(s * h), by_tr, by_rot) for s in (1, -1)]
         return (ends[0] - ends[1]) / (2 * h)
 
     def moved(h):

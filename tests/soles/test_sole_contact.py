@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from as_load import as_load
-from small_parts import complementarity
+from small_parts import START, complementarity
 from sole_at_pose import contact_at_pose
 
 from drake_exo.soles import simulation
@@ -26,7 +26,6 @@ from drake_exo.soles.simulation import (
 )
 
 SIZE = (0.23, 0.13, 0.03)
-START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 
 
 def _load(count=20):

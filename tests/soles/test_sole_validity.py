@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from as_load import as_load
-from small_parts import complementarity
+from small_parts import START, complementarity
 from undrawn import undrawn
 from unmarked import unmarked
 
@@ -14,7 +14,7 @@ from drake_exo import cli
 from drake_exo.errors import InputError
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact.law import ContactLaw
-from drake_exo.soles.contact.newton import ContactSolver, Start
+from drake_exo.soles.contact.newton import ContactSolver
 from drake_exo.soles.elasticity import Material, Sole
 from drake_exo.soles.load_blocks import Constant
 from drake_exo.soles.mesh import SphericalSpline, brick, read_mesh, write_vtk
@@ -26,7 +26,6 @@ from drake_exo.soles.optimize.optimizer import (
 from drake_exo.soles.simulation import simulate
 
 SIZE = (0.23, 0.13, 0.03)
-START = Start(np.array([-0.115, 0, -0.03]), np.array([-0.115, 0.0, 0.0]))
 
 
 def _case(old="", new=""):
