@@ -111,3 +111,11 @@ def _write_standing(folder, human, tree):
     nobody = PlanarWrench(0.0 * wrench.force, 0.0 * wrench.moment)
     write_trc(folder / "static.trc", marker_data(tree, human, time, q))
     write_table(folder / "static.mot", _plates(time, wrench, nobody))
+
+
+def edit(folder, old, new):
+    """Its study with other words."""
+    path = folder / "study.yaml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))

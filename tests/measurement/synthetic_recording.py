@@ -29,7 +29,6 @@ RATE = 100.0
 SEAT_OFF = (1.5, 6.5)
 STANDING = (2.6, 7.6)
 PRESSURE_X = 0.05  # in front of the ankle while seated
-ANKLE_HEIGHT = 0.0663  # of the nominal human, below
 POINTS = {  # body -> name -> (x, z) on it
     "foot": {"heel": (-0.05, -0.03), "meta": (0.12, -0.04), "ank": (0, 0)},
     "shank": {"sh1": (0.05, 0.2), "sh2": (-0.04, 0.3), "kne": (0, None)},

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from seated_recording import write_seated
+from seated_recording import edit, write_seated
 
 from drake_exo.cli import main
 from drake_exo.files.c3d import PlateDesign, write_c3d
@@ -20,13 +20,6 @@ pytestmark = pytest.mark.slow
 def folder(tmp_path):
     write_seated(tmp_path, scale_human(70.0, 1.75))
     return tmp_path
-
-
-def edit(folder, old, new):
-    path = folder / "study.yaml"
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
 
 
 def refusal(folder, capsys):

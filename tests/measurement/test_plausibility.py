@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from seated_recording import EXO_JOINTS, write_seated
+from seated_recording import EXO_JOINTS, edit, write_seated
 from unmarked import unmarked
 
 import drake_exo as dx
@@ -65,13 +65,6 @@ def said(folder, name):
     found = failing(folder)
     assert name in found, sorted(found)
     return found[name][0]
-
-
-def edit(folder, old, new):
-    path = folder / "study.yaml"
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new))
 
 
 def forces(folder, change, names=r"ground_force_\d_\w+", file="sts.mot"):

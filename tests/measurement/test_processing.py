@@ -1,4 +1,3 @@
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -51,15 +50,6 @@ def made(tmp_path_factory, human):
 def loaded(made):
     folder, _, study = made
     return load(study, folder)
-
-
-@pytest.fixture
-def files(tmp_path, made):
-    """A copy that a test may damage."""
-    folder, _, study = made
-    for path in folder.iterdir():
-        shutil.copy(path, tmp_path)
-    return tmp_path, study
 
 
 def residual(subject, trial):

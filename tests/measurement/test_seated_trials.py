@@ -1,6 +1,5 @@
 """Trials that start on a chair, in an exoskeleton."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,15 +39,6 @@ def loaded(made):
     folder, _, study = made
     subject, (trial,) = load(study, folder)
     return subject, trial
-
-
-@pytest.fixture
-def files(tmp_path, made):
-    """A copy that a test may damage."""
-    folder, _, study = made
-    for path in folder.iterdir():
-        shutil.copy(path, tmp_path)
-    return tmp_path, study
 
 
 def samples(trial):
