@@ -560,11 +560,11 @@ def test_rows_that_are_columns_are_told_by_their_distance(folder):
     long = replace(MAT, rows=5, columns=12, cell_area_m2=area)
     cell_directions(long, "m", folder)
     turned = replace(long.scan, corners=(*CORNERS[1:], CORNERS[0]))
-    for wrong in (
-        replace(long, rows=12, columns=5),
-        replace(long, scan=turned),
+    for wrong, words in (
+        (replace(long, rows=12, columns=5), r"8\.3 mm .* row to row, 25\.0 mm"),
+        (replace(long, scan=turned), r"25\.0 mm .* row to row, 8\.3 mm"),
     ):
-        with pytest.raises(InputError, match="rows and columns look exchanged"):
+        with pytest.raises(InputError, match=f"{words}.* look exchanged"):
             cell_directions(wrong, "m", folder)
     single = replace(MAT, rows=1, columns=5, cell_area_m2=1e-3)
     cell_directions(single, "m", folder)
