@@ -9,6 +9,7 @@ import yaml
 from drake_exo.batch.file import (
     SOLE_KEYS,
     BatchFile,
+    SeedRange,
     _digests,
     changed_text,
     check_key,
@@ -97,6 +98,12 @@ def test_results_never_lie_among_those_of_another(folder):
     (folder / "anna" / "check.yaml").rename(folder / "anna" / "other.yaml")
     names = ["anna/other/check", "anna/check"]
     assert [t.name for t in tasks_of(batch(text), folder)] == names
+
+
+def test_a_range_of_seeds_may_begin_anywhere():
+    assert SeedRange(200_000, 299_999).last == 299_999
+    with pytest.raises(InputError, match="are 100001 subjects"):
+        SeedRange(200_000, 300_000)
 
 
 def test_a_seed_and_a_study_of_one_name(folder):

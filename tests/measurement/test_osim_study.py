@@ -112,6 +112,15 @@ def test_spheres_lie_on_the_floor_of_standing(folder):
         assert z - ankle + ANKLE == pytest.approx(0.032, abs=1e-6)
 
 
+def test_short_gaps_of_standing_are_filled(folder):
+    standing = read_trc(folder / "standing.trc")
+    standing.positions[8:11, standing.names.index("knee_l")] = np.nan
+    write_trc(folder / "standing.trc", standing)
+    filled = "laboratory: {fill_gaps_s: 0.1}\nstanding:"
+    _, subject = fitted(folder, ("standing:", filled))
+    assert subject.model.human.ankle_height_m == pytest.approx(ANKLE, abs=1e-6)
+
+
 def test_a_stated_mass_scales_the_models(folder):
     _, own = fitted(folder)
     _, heavy = fitted(folder, ("height_m: 1.75", "height_m: 1.75, mass_kg: 78"))
