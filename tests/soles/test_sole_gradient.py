@@ -111,7 +111,7 @@ def test_gradient_by_the_load_matches_central_differences(element):
     terms = singular_terms(history.K_c, by_tr, by_rot)
     _, (found,) = gradients(sole, solver, given, START, history, [terms])
 
-    def measure(force, zmp):
+    def at(force, zmp):
         setting.load = replace(given, force=force, zmp=zmp)
         return measure(setting.forward(p)[2], by_tr, by_rot)
 
@@ -120,9 +120,9 @@ def test_gradient_by_the_load_matches_central_differences(element):
         d = rng.standard_normal((count, 3)) * row[:, None]
         h = 1e-3 if part == "force" else 1e-7
         ends = [
-            measure(given.force + s * h * d, given.zmp)
+            at(given.force + s * h * d, given.zmp)
             if part == "force"
-            else measure(given.force, given.zmp + s * h * d[:, :2])
+            else at(given.force, given.zmp + s * h * d[:, :2])
             for s in (1, -1)
         ]
         numeric = (ends[0] - ends[1]) / (2 * h)
