@@ -404,6 +404,10 @@ def test_part_of_the_shipped_device():
     model = replace(whole, kind=replace(whole.assembly, cuffs=cuffs))
     assert list(model.tree.cuffs) == ["thigh"]
     assert model.coordinates == whole.coordinates
+    human = replace(model.human, thigh_cuff_m=(0.02, 0.20))
+    device = replace(model.exoskeleton, thigh_cuff_m=(0.05, 0.27))
+    moved = replace(model, human=human, exoskeleton=device)
+    assert moved.preload("thigh") == pytest.approx((0.03, 0.07))
     # Where the description says, it is slack.
     cuffs = {"thigh": replace(cuffs["thigh"], at_m=(0.0, 0.3))}
     model = replace(whole, kind=replace(whole.assembly, cuffs=cuffs))
