@@ -72,7 +72,7 @@ def test_a_design_holds_and_tells_what_it_buys(found):
     assert verdict.word == "holds", verdict.text()
     norms = found.summary()["norm_n"]
     assert norms["after"] < 0.9 * norms["before"]
-    assert norms["forecast"] == pytest.approx(norms["after"], rel=0.1)
+    assert norms["forecast"] == pytest.approx(norms["after"], rel=6e-3)
     support = found.support
     assert support["after"] == pytest.approx(support["before"], rel=0.03)
     parts = found.parts
@@ -174,7 +174,7 @@ def test_migration_as_built_is_what_encoders_tell(found, study, tmp_path):
     wearer, _ = found.first
     for row in made.felt():
         model = row["after"]["migration_mm"] / wearer.slides(row["cuff"])
-        assert row["measured_migration_mm"] == pytest.approx(model, rel=0.01)
+        assert row["measured_migration_mm"] == pytest.approx(model, rel=6e-4)
     made.write(tmp_path)
     assert "shank built" in (tmp_path / "design.txt").read_text()
     unseen = designing.built(found, study[0], {name: [after[0].trial]})
@@ -233,7 +233,7 @@ def test_a_design_is_replayed_beside_the_device_of_today(found, tmp_path):
         rows = clips[0]["arrows"][key].reshape(-1, 6)
         force = moved.trial.cuffs["thigh"]
         size = np.hypot(force.normal[0], force.tangential[0])
-        assert np.hypot(*rows[0, [3, 5]]) == pytest.approx(size, rel=1e-3)
+        assert np.hypot(*rows[0, [3, 5]]) == pytest.approx(size)
         cuff = design.contact(contact).bushings["thigh"]
         tree = design.model(wearer.model).tree
         place = np.add(cuff.origin, cuff.preload[:2])

@@ -381,7 +381,7 @@ def test_bands_by_dense_algebra(in_device, coarse):
         force = result.trials[0].cuffs[cuff].components
         own_sd = np.hypot(sd[place(variables)], 0.12 * force)
         off = np.abs(found.cuffs[cuff] - 1.959964 * own_sd)
-        assert (off < 0.02 * 1.96 * own_sd.max(axis=0)).all()
+        assert (off < 1e-4 * 1.96 * own_sd.max(axis=0)).all()
     # What markers show: noise of a sample, and errors of measurement, which
     # ends have in common with it.
     effects = problem.errors.effects(in_device.trials[0].sample(grid.times))
@@ -397,7 +397,7 @@ def test_bands_by_dense_algebra(in_device, coarse):
         expected = np.sum(both**2, axis=2) + sigma**2 + (turn * sigma[2]) ** 2
         expected = 1.959964 * np.sqrt(expected)
         size = expected.max(axis=0)
-        assert (np.abs(shown - expected) < 0.02 * size).all()
+        assert (np.abs(shown - expected) < 1e-5 * size).all()
     known = result.values[errors]
     assert np.abs(known).max() > 1e-3
     np.testing.assert_allclose(found.off_q, effects.q @ known)
@@ -417,7 +417,7 @@ def test_bands_by_dense_algebra(in_device, coarse):
     expected = np.sum(both**2, axis=1) + (0.12 * force) ** 2
     expected += settings.noise.normal_force_n**2
     expected = 1.959964 * np.sqrt(expected)
-    assert (np.abs(found.mats[mat] - expected) < 0.02 * expected.max()).all()
+    assert (np.abs(found.mats[mat] - expected) < 1e-5 * expected.max()).all()
     np.testing.assert_allclose(found.off_mats[mat], by @ known[own])
 
 

@@ -216,7 +216,7 @@ def test_a_step_repeats_itself_in_a_device(worn):
         off = found.coordinate(joint) - found.coordinate(names.follows(joint))
         assert np.abs(off).max() < np.deg2rad(20.0)
     ends = [found.cuffs[f"thigh_{side}"].normal for side in ("left", "right")]
-    assert ends[0][-1] == pytest.approx(ends[1][0], abs=0.5)
+    assert ends[0][-1] == pytest.approx(ends[1][0])
     assert np.abs(ends[0]).max() > 5.0  # the device is carried along
     # What the ground gives over the step is the weight of both.
     lifted = np.trapezoid(found.ground.force_z, found.times) / found.duration
@@ -267,7 +267,7 @@ def test_a_walk_is_recorded(alone, tmp_path):
     loads = [
         np.interp(fine, solved.times, f.force_z) for f in solved.feet.values()
     ]
-    assert np.median(np.min(loads, axis=0)) < 300.0
+    assert np.median(np.min(loads, axis=0)) < 0.01
 
 
 def test_a_foot_is_pressed_by_where_in_its_cycle_it_is(subject):

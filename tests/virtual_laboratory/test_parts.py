@@ -185,7 +185,7 @@ def test_seated_posture_is_in_balance():
     )
     np.testing.assert_allclose(left[0, [0, 1, 2, 6, 7, 8]], 0.0, atol=1e-5)
     # Where the plan wanted to be, to what cuffs give.
-    assert np.abs(q[0, :6] - reference.q[0]).max() < np.deg2rad(1.5)
+    assert np.abs(q[0, :6] - reference.q[0]).max() < np.deg2rad(0.05)
 
 
 def test_controllers_join_to_six_torques():
@@ -236,7 +236,7 @@ def test_mats_sum_to_the_cuff_force(configuration, tmp_path):
         inward, report = cell_directions(
             Mat(**settings, scan=Scan(**scan)), mat.name, tmp_path
         )
-        assert report["cell_distance_mm"] == pytest.approx(14.14, rel=0.03)
+        assert report["cell_distance_mm"] == pytest.approx(14.14, rel=5e-3)
         pressure = cell_pressures(mat, MODEL, force)
         assert pressure.min() >= 0.0
         found = CELL_AREA_M2 * pressure @ inward

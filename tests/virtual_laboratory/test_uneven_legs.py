@@ -115,7 +115,7 @@ def test_a_plan_of_two_legs_obeys_newton(worn):
     for foot, wrench in loads.items():
         contact = subject.truth.contact
         borne = ground_wrench(tree, contact, found.q[:1], rest, foot)
-        np.testing.assert_allclose(borne.force_z, wrench.force_z[:1], rtol=2e-3)
+        np.testing.assert_allclose(borne.force_z, wrench.force_z[:1], rtol=1e-4)
 
 
 @pytest.mark.slow
@@ -128,8 +128,8 @@ def test_an_uneven_rise_is_calibrated(alone, tmp_path):
     (trial,) = study.trials()
     total = trial.ground.force_z
     share = trial.feet["left"].force_z / total
-    assert share.mean() == pytest.approx(0.7, abs=0.01)
-    assert total[-1] == pytest.approx(study.model.tree.weight, abs=15.0)
+    assert share.mean() == pytest.approx(0.7, abs=2e-4)
+    assert total[-1] == pytest.approx(study.model.tree.weight, abs=3.0)
     found = dx.calibrate_foot_ground(study)
     assert found.success
     (off,) = found.rmsd()
