@@ -430,6 +430,13 @@ def test_priors_of_cuffs_are_those_of_the_settings(in_device, trial):
         assert found == pytest.approx(0.5)
 
 
+def test_priors_of_a_foot_are_spans_over_the_root_of_their_weight(
+    human, defaults
+):
+    for p in replace(defaults, prior_weight=0.04).parameters(human.spheres):
+        assert p.prior_sd == pytest.approx(5.0 * p.span)
+
+
 def test_a_phase_that_scales_cuffs_scales_damping_too(in_device):
     """C2: stiffness and damping alike, places and preload not."""
     scaled = in_device.contact.scaled(1.4)
