@@ -158,7 +158,9 @@ def test_window_instead_of_a_rise(made, loaded):
     (trial,) = Recordings(study, folder, subject).trials((files,))
     assert time_of(trial)[-1] == pytest.approx(3.0)
     assert trial.start_s == trial.provenance["part"]["seat_off_s"]
-    files = replace(study.trials[0], rise=None, start_s=2.0, end_s=2.1)
+    files = replace(study.trials[0], rise=None, start_s=2.0, end_s=2.17)
+    assert len(Recordings(study, folder, subject).trials((files,))) == 1
+    files = replace(files, end_s=2.16)
     with pytest.raises(InputError, match=r"shorter than a period .* \(6 Hz\)"):
         Recordings(study, folder, subject).trials((files,))
 

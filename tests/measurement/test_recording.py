@@ -10,6 +10,7 @@ from drake_exo.files.tables import MarkerData
 from drake_exo.measurement.filters import fill_gaps
 from drake_exo.measurement.recording import (
     FootForces,
+    check_loaded,
     force_delay,
     level,
     unloaded,
@@ -207,6 +208,14 @@ def test_a_trend_needs_unloaded_parts_half_the_recording_apart():
         _, report = level(TIME, raw, 20.0)
         drift = report["drift_n_s"]
         assert drift == (pytest.approx(2.0) if powers == 2 else 0.0)
+
+
+def test_feet_that_hang_for_a_while_are_loaded():
+    force = np.array([[0.0, 0.0], [0.0, 700.0]])
+    check_loaded("a.mot", PlanarWrench(force, [0.0, 0.0]), 700.0, "all")
+    with pytest.raises(InputError, match=r"bear 0\.7 N at most \(all\)"):
+        kilo = PlanarWrench(1e-3 * force, [0.0, 0.0])
+        check_loaded("a.mot", kilo, 700.0, "all")
 
 
 def both_plates(**wrenches):
