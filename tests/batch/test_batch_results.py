@@ -226,6 +226,14 @@ def test_the_page_stays_small(batch, monkeypatch):
     assert len(text) < 60_000
 
 
+def test_tasks_that_have_a_replay_are_linked_with_it(batch):
+    assert results._links(batch) == {}
+    name = batch.tasks[-1].name
+    (batch.out / name).mkdir(parents=True, exist_ok=True)
+    (batch.out / name / "replay.html").write_text("")
+    assert results._links(batch) == {name: f"{name}/replay.html"}
+
+
 def test_a_row_of_the_page_takes_the_bytes_that_it_is_counted_by(batch):
     row = rows_of(batch)[0]
     sizes = []
