@@ -460,6 +460,46 @@ def test_forces_on_the_plate(files, loaded):
     )
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_laboratory_may_be_written_down_in_any_way(files, loaded, mirrored):
+    """Turned, elsewhere, later, points as moments; left and right exchanged."""
+    folder, study = files
+    ahead = np.array([7.0, 0.0, 2.0])
+    across = np.array([1.0, 1.0, -1.0 if mirrored else 1.0])
+
+    def move(table):
+        # Force, point and moment of each plate.
+        parts = table.values.reshape(-1, 2, 3, 3) * across
+        # No point, but the moment about the origin.
+        parts[:, :, 2] = np.cross(parts[:, :, 1] + ahead, parts[:, :, 0])
+        parts[:, :, 1] = 0.0
+        parts = parts[:, ::-1] if mirrored else parts
+        values = (parts[..., [1, 2, 0]] * [-1, -1, 1]).reshape(len(parts), -1)
+        return replace(table, time=table.time + 1000.0, values=values)
+
+    other = str.maketrans("LR", "RL") if mirrored else {}
+    for name in ("sts", "static"):
+        seen = read_trc(folder / f"{name}.trc")
+        names = tuple(n.translate(other) for n in seen.names)
+        p = (seen.positions * across + ahead)[..., [2, 0, 1]] * [-1, -1, 1]
+        data = MarkerData(seen.time + 1000.0, names, p, seen.rate_hz)
+        write_trc(folder / f"{name}.trc", data)
+        edit_forces(folder, move, f"{name}.mot")
+    laboratory = replace(
+        study.laboratory,
+        marker_axes=Axes("-y", "z"),
+        force_axes=Axes("z", "-x"),
+    )
+    _, trials = load(replace(study, laboratory=laboratory), folder)
+    for found, plain in zip(trials, loaded[1], strict=True):
+        assert found.start_s == pytest.approx(plain.start_s + 1000.0)
+        q = found.q - np.eye(6)[0] * ahead[0]
+        back = found.ground.shifted(-ahead[0])
+        np.testing.assert_allclose(q, plain.q, atol=1e-6)
+        np.testing.assert_allclose(back.array, plain.ground.array, atol=1e-4)
+        np.testing.assert_allclose(found.moments, plain.moments, atol=1e-3)
+
+
 @pytest.mark.slow
 def test_reads_c3d_alike(files, loaded):
     folder, study = files
