@@ -251,7 +251,9 @@ class FiniteStrainSolver:
         before = target.places_before(state.R, self.rest)
         frozen = replace(target, reference=before)
         point = self._evaluate(self._tau(state, frozen), state, frozen, 1.0)
-        point.tau = at_rest(point.tau, self.law, target.force)
+        tau = np.einsum("kij,kj->ki", point.axes, point.tau)
+        tau = at_rest(tau, self.law, target.force)
+        point.tau = np.einsum("kji,kj->ki", point.axes, tau)
         return _Linearisation(self, point, 0.0).wrench_response()
 
     def _planes(self, target, R):

@@ -13,7 +13,11 @@ from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
 from drake_exo.soles.contact.law import COLUMNS, FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import ContactSolver, Start
 from drake_exo.soles.elasticity import MATERIALS, Sole
-from drake_exo.soles.finite_strain import follow
+from drake_exo.soles.finite_strain import (
+    FiniteStrainSolver,
+    NeoHookeanBody,
+    follow,
+)
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import rotations_xyz
@@ -147,6 +151,18 @@ def test_finite_strain_on_a_slope_is_flat_ground_turned():
     both = np.kron(np.eye(2), LATERAL)
     np.testing.assert_allclose(slope.K_c, both @ flat.K_c @ both.T,
                                rtol=1e-5, atol=1.0)  # fmt: skip
+    # Nodes that slipped and came to rest stick, whatever rounding tells.
+    body = NeoHookeanBody(sole.mesh, sole.material)
+    solver, state = FiniteStrainSolver(body, law, ground=ground), b
+    target = turned.target(1, solver.places(state), ground)
+    up = (state.F @ LATERAL[:, 2])[:, None] * LATERAL[:, 2]
+    found = [
+        solver.cartesian_stiffness(
+            replace(state, F=up + part * (state.F - up)), target
+        )
+        for part in (1 - 1e-13, 1 + 1e-13)
+    ]
+    np.testing.assert_allclose(*found, rtol=1e-9, atol=1e-3)
 
 
 def test_an_animation_s_zmp_is_the_load_s():

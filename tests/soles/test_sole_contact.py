@@ -189,10 +189,12 @@ def test_stiffness_matches_finite_differences(sole, history):
     assert checked == 3
 
 
-def test_nodes_that_came_to_rest_stick(sole, history):
+@pytest.mark.parametrize("layer", [0.0, 5e-5])
+def test_nodes_that_came_to_rest_stick(sole, layer):
     """Where the load stays, no rounding tells slip from stick."""
-    solver = ContactSolver.of(sole, ContactLaw(0.8, sole.penalty))
-    found = []
+    law = ContactLaw(0.8, sole.penalty, layer)
+    solver = ContactSolver.of(sole, law)
+    history, found = simulate(solver, as_load(*_load(1)), START), []
     for part in (1 - 1e-13, 1.0, 1 + 1e-13):
         state = history.state(0)
         target = Target(state.F.sum(axis=0), [-0.08, 0.03], history.P[0])
@@ -200,7 +202,10 @@ def test_nodes_that_came_to_rest_stick(sole, history):
         lin = solver.linearise(state, target, history.P[0])
         found.append(lin.cartesian_stiffness)
     slips = np.hypot(*state.F[:, :2].T) > (0.8 - 1e-12) * state.F[:, 2]
-    assert (slips & (state.F[:, 2] > 0)).any()
+    pressed = state.F[:, 2] > 0
+    if layer:
+        pressed &= state.F[:, 2] < law.epsilon
+    assert (slips & pressed).any()
     np.testing.assert_allclose(found[::2], [found[1]] * 2, rtol=1e-9, atol=1e-3)
 
 

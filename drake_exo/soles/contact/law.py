@@ -141,13 +141,13 @@ _EDGE = 1e-10  # of the whole force: what Newton and rounding leave of a node's
 
 
 def at_rest(tau: np.ndarray, law: ContactLaw, force: np.ndarray) -> np.ndarray:
-    """τ (m, 3) with what lies at the edge of the cone moved inside it.
+    """τ (m, 3) in planes' axes, what is at the edge of the cone moved inside.
 
     Nodes there have slipped and come to rest, and stick; rounding would tell
     one from the other. `force` is that on the whole [N], (3,).
     """
     left, along = _EDGE * np.linalg.norm(force), np.hypot(*tau[:, :2].T)
-    rests = np.abs(along - law.friction * tau[:, 2]) <= left
+    rests = np.abs(along - law.friction * project(tau, law)[:, 2]) <= left
     inside = np.maximum(1 - 2 * left / np.maximum(along, left), 0)
     out = tau.copy()
     out[rests, :2] *= inside[rests, None]
