@@ -1442,7 +1442,7 @@ def worn_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
         yield _judged(
             "device_worn",
             0.0,
-            "all trials",
+            ", ".join(t.name for t in trials),
             "nothing of the device was measured (encoders, exo_moments or "
             "pressure); say 'model: human' if none was worn",
             level="note",

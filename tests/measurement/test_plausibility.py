@@ -780,6 +780,7 @@ def test_a_device_that_nobody_measured_ends_before_anything_is_solved(
     edit(folder, "mass_kg: 84.0", "mass_kg: 70.0")
     assert main(["check", str(path)]) == 0
     told = capsys.readouterr().out
+    assert "device_worn (rise1, 0 trials, limit 1 trials)" in told  # of these
     assert "nothing of the device was measured (encoders, exo_moments" in told
     assert "say 'model: human' if none was worn" in told
 
