@@ -436,7 +436,7 @@ def _same_shape(node: yaml.Node, hint: Any) -> bool:
         return dataclasses.is_dataclass(kind) or kind is dict
     if isinstance(node, yaml.SequenceNode):
         return kind in (list, tuple)
-    return kind in (str, int, float, bool, Path, Literal)
+    return kind in (str, int, float, bool, Path)
 
 
 def _describe(node: yaml.Node) -> str:

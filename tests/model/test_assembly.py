@@ -611,6 +611,7 @@ def test_loops_are_refused():
         ),
         ("{human: {trunk: bent}}", "human.trunk must be one of rigid"),
         ("{ground: {foot: same}}", "foot is the same as nothing"),
+        ("{ground: {foot: heel}}", "ground.foot must be a list, but is 'heel'"),
         (
             "{human: {legs: two}, ground: {foot_left: same, foot_right: same}}",
             "foot_left is the same as nothing",
