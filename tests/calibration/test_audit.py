@@ -112,7 +112,7 @@ def test_another_foot_is_missed_between_nodes(predicted, base):
     off = np.abs(wrench.array - trial.ground.array).max(axis=0)
     assert off[1] > 100.0 and off[2] > 5.0
     force, moment = missing(saying(predicted, contact=other))
-    assert force == pytest.approx(off[:2].max(), rel=1e-4)
+    assert force == pytest.approx(off[:2].max(), rel=3e-4)
     assert moment == pytest.approx(off[2], rel=0.015)
 
 

@@ -321,10 +321,10 @@ def test_a_posterior_is_the_inverse_of_the_curvature(coarse):
     sd = np.sqrt(np.diag(expected))
     assert (sd[len(free) :] > 0.0).all()
     np.testing.assert_allclose(
-        np.diag(known.covariance), sd**2, rtol=1e-6, atol=1e-12
+        np.diag(known.covariance), sd**2, rtol=2e-6, atol=1e-12
     )
     scale = np.outer(sd, sd) + 1e-30
-    assert np.abs((known.covariance - expected) / scale).max() < 1e-6
+    assert np.abs((known.covariance - expected) / scale).max() < 2e-6
     # Data can only add to what was known before.
     prior = np.sqrt(np.diag(problem.errors.prior()[1]))
     assert (sd[len(free) :] < 1.001 * prior).all()

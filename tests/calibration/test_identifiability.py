@@ -98,7 +98,7 @@ def test_other_radii_give_the_same_forces(result):
     assert all(r["success"] for r in rows)
     assert max(r["vertical_force_rmsd_n"] for r in rows) < 1.0
     lowest = [r["heel.z"] - r["heel.radius"] for r in rows]
-    assert np.ptp(lowest) < 1e-4
+    assert np.ptp(lowest) < 2e-4
 
 
 def test_other_radii_may_lie_beyond_bounds_or_fail(result):

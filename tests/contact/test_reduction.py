@@ -81,8 +81,8 @@ def test_smoothing_of_a_centimetre_is_the_law_s_own():
 @pytest.mark.parametrize("planar", [True, False])
 def test_spheres_are_found_again(planar):
     found = fit(_truth(planar), 3, planar)
-    assert found.force_error < 1e-4
-    assert found.cop_error < 2e-6
+    assert found.force_error < 3e-4
+    assert found.cop_error < 5e-6
     assert found.is_near
     rows = found.table()
     np.testing.assert_allclose(rows["force_n"], found.samples.force)
@@ -317,7 +317,7 @@ def test_a_frame_beside_the_sole_gives_the_same_spheres(planar):
     moved = replace(own, origin=own.origin - own.rotation @ away, middle=middle)
     there, here = fit(moved, 1, planar), fit(own, 1, planar)
     np.testing.assert_allclose(there.place, here.place + away, atol=1e-5)
-    assert there.force_error == pytest.approx(here.force_error, rel=1e-5)
+    assert there.force_error == pytest.approx(here.force_error, rel=2e-5)
     assert moved.depth == pytest.approx(own.depth)
 
 
