@@ -478,6 +478,23 @@ class PeriodicStep(PredictionProblem):
 
     ends = "periodic"
 
+    def __init__(
+        self,
+        model: Model,
+        trials: Sequence[Trial],
+        contact: ContactModel,
+        settings: PredictionSettings | None = None,
+        **options,
+    ):
+        usual = PredictionSettings(ends=self.ends)
+        settings = schema.checked(
+            settings, PredictionSettings, "settings", usual
+        )
+        speed = settings.speed_m_s
+        if speed is not None:
+            trials = [_loads_at(speed, t) for t in as_trials(trials)]
+        super().__init__(model, trials, contact, settings, **options)
+
     def _terms(self, movement, at, effects):
         return [minimised(movement.torque, self.settings.noise.torque_nm)]
 
@@ -532,6 +549,15 @@ class PeriodicStep(PredictionProblem):
                 np.full(len(q), max(upper, own.max())),
             )
         return movement
+
+
+def _loads_at(speed_m_s: float, trial: Trial) -> Trial:
+    """A step whose loads go along with a person who goes at another speed."""
+    x, *_ = trial.coordinates.root_columns
+    own = (trial.q[-1, x] - trial.q[0, x]) / trial.duration
+    ahead = (speed_m_s - own) * (trial.times - trial.times[0])
+    moved = {body: w.shifted(ahead) for body, w in trial.applied.items()}
+    return replace(trial, applied=moved)
 
 
 def mirrored(names: Coordinates) -> np.ndarray:

@@ -142,6 +142,21 @@ def test_a_step_ends_as_it_began_but_ahead(model, step, speed):
     assert (lower, upper) == pytest.approx((0.3, 0.3))
 
 
+@pytest.mark.parametrize("speed", [None, 0.7])
+def test_a_load_goes_along_at_another_speed(model, step, speed):
+    """It is borne at the same place of the body, from start to end."""
+    at = step.q[:, 0] + 0.05
+    weight = np.column_stack([0.0 * at, -80.0 + 0.0 * at])
+    load = PlanarWrench(weight, 80.0 * at)
+    borne = replace(step, applied={"pelvis": load})
+    (given,) = posed(model, borne, speed_m_s=speed).trials
+    found = given.applied["pelvis"]
+    pelvis = 0.3 + (SPEED if speed is None else speed) * TIMES
+    place = -found.moment / found.force_z
+    np.testing.assert_allclose(place, pelvis + 0.05, atol=1e-12)
+    np.testing.assert_array_equal(found.force, load.force)
+
+
 def test_joints_turn_as_far_as_people_s(model, step):
     """Or as far as they do in the trial."""
     problem = posed(model, step)
