@@ -269,8 +269,8 @@ def _skeleton(segments, centres, hip, source):
                 raise InputError(
                     f"{source}: the {segments[k].replace('_', ' ')} measures "
                     f"{abs(d):.3f} m in standing; check the markers of its "
-                    "joint centres and the unit of length (mm, cm, m) in the "
-                    "file's header"
+                    "joint centres, which way marker_axes say is up, and the "
+                    "unit of length (mm, cm, m) in the file's header"
                 )
             w[k] = d / abs(d) / 1j  # along the segment is +z
         levers = {"hip": np.zeros(len(segments), complex)}
@@ -402,8 +402,9 @@ def solve_poses(
         raise InputError(
             f"{source}: inverse kinematics does not converge; marker "
             f"{model.names[worst]!r} lies up to {off[:, worst].max():.3g} m "
-            "off the model; check where it is, and that the markers are named "
-            "as in the standing trial"
+            "off the model; check where it is, that the markers are named as "
+            "in the standing trial, and that laboratory.marker_axes, there "
+            "standing.marker_axes, say where the subject faced"
         )
     phi = np.unwrap(phi, axis=0)
     r = p - hip[:, None] - np.exp(1j * phi) @ model.levers.T

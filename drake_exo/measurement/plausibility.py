@@ -1179,6 +1179,7 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
 LARGEST_COMMON_LAG_MS = 12.0  # of all trials together
 _COMMON_S, _COMMON_BETTER = 0.045, 1.15
 _BETTER = 1.7  # misfit over that at another lag, for a clock to be off
+_FITS = 0.01  # of body weight: no file fits better than well
 _LAGS_S = np.linspace(-0.2, 0.2, 41)
 _NOW = len(_LAGS_S) // 2  # no lag
 _RECORDED = 0.9  # of the used part
@@ -1267,7 +1268,8 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
             continue
         misfits = {o.trial.name: force_misfit(e, o) for o in others}
         best = min(misfits, key=misfits.get)
-        ratio = _ratio(fits[_NOW], misfits[best])
+        # Nearly equal movements: the body's inertias alone prefer either.
+        ratio = _ratio(fits[_NOW], max(misfits[best], _FITS * e.weight))
         yield e.check(
             "force_file",
             ratio,

@@ -165,15 +165,21 @@ def test_the_marker_that_keeps_it_from_converging_is_named(
     data = marker_data(tree, human, times, motion(times, human))
     data.positions[2, data.names.index("L_sh1"), 0] = -999.0
     with pytest.raises(
-        InputError, match=r"marker 'L_sh1' lies up to 9.* m off"
+        InputError,
+        match=r"'L_sh1' lies up to 9.* m off .*say where the subject faced",
     ):
         solve_poses(model, FRAME.points(data.of(model.names)))
 
 
-def refusal(tree, human, markers):
+def refusal(tree, human, markers, frame=FRAME):
     with pytest.raises(InputError) as caught:
-        build_marker_model(standing(tree, human), markers, FRAME)
+        build_marker_model(standing(tree, human), markers, frame)
     return str(caught.value)
+
+
+def test_axes_that_are_not_the_files_are_named(tree, human, markers):
+    lies = SagittalFrame("x", "z")
+    assert "marker_axes say is up" in refusal(tree, human, markers, lies)
 
 
 def test_refuses_markers_that_leave_a_segment_free(tree, human, markers):

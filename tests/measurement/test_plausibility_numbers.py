@@ -737,6 +737,16 @@ def test_plates_of_another_trial():
     assert len(list(plausibility.force_checks([own, near, far]))) == 4
 
 
+def test_forces_of_a_movement_that_is_nearly_the_same():
+    """Both files fit to a few newtons: which one does better tells nothing."""
+    own, near = borne("a", swing(86.0)), borne("b", swing(90.0))
+    few = plausibility.force_misfit(own, own)
+    assert plausibility.force_misfit(own, near) < few < 0.01 * own.weight
+    checks = list(plausibility.force_checks([own, near]))
+    least = pytest.approx(few / (0.01 * own.weight), abs=1e-9)
+    assert told(checks, "force_file")[0] == (least, 1.25, True)
+
+
 def test_a_clock_that_is_late_in_all_trials():
     """Of one trial 20 ms may be skin that slides; of all they are a clock."""
 
