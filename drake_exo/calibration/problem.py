@@ -721,8 +721,8 @@ def _check_trials(trials: list[Trial], model: Model) -> None:
 
     Raises:
         InputError: two are the same movement; one is of another model, does
-            not start at 0, holds what is no number, is too long, or has a
-            cuff, a foot or a segment that the model has not.
+            not start at 0, holds what is no number, turns round, is too long,
+            or has a cuff, a foot or a segment that the model has not.
     """
     own = model.coordinates
     for k, trial in enumerate(trials):
@@ -773,6 +773,12 @@ def _check_trials(trials: list[Trial], model: Model) -> None:
             raise InputError(
                 f"trial {trial.name}: {wrong} holds what is no finite number; "
                 "cut or fill it"
+            )
+        turned = np.abs(trial.q[:, own.is_angle]).max()
+        if turned > 2.0 * np.pi:
+            raise InputError(
+                f"trial {trial.name}: an angle reaches {turned:.3g} rad; give "
+                "q in radians, v and a likewise"
             )
 
 

@@ -346,8 +346,15 @@ def reduce_sole(
         `foot_ground.law` of a study names.
 
     Raises:
-        InputError: no spheres, or fewer samples than unknowns.
+        InputError: no samples of a sole, no spheres, or fewer samples than
+            unknowns.
     """
+    samples = list(samples) if isinstance(samples, Iterable) else [samples]
+    if len(samples) < 5 or isinstance(samples[0], str):
+        raise InputError(
+            "samples are none of a sole; give what dx.soles.sole_samples says "
+            "of a step, or of its folder"
+        )
     samples = Samples(*samples)
     if spheres < 1:
         raise InputError(f"{spheres} spheres bear nothing; take 1 or more")

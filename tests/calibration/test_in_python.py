@@ -128,6 +128,7 @@ def test_names_of_variables_are_those_of_the_contact(posed):
         (lambda t: replace(t, cuffs={"Thigh": t.cuffs["pelvis"]}), "'Thigh'"),
         (lambda t: replace(t, name="rise2"), "two trials are called 'rise2'"),
         (lambda t: replace(t, times=1e3 * t.times), "times in seconds"),
+        (lambda t: replace(t, q=np.degrees(t.q)), "give q in radians"),
         (lambda t: t.sample(t.times[:2]), "2 samples"),
     ],
 )

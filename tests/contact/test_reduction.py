@@ -119,6 +119,9 @@ def test_too_few_samples_are_refused():
         fit(few, 3, False)
     with pytest.raises(InputError, match="take 1 or more"):
         fit(few, 0, False)
+    for other in ("results", whole):  # a folder or a step, not what it says
+        with pytest.raises(InputError, match="sole_samples says"):
+            reduce_sole(other, 3)
     # A centre of pressure tells nothing where hardly anything bears.
     force = np.where(np.arange(len(whole.force)) < 2, whole.force, 1e-9)
     with pytest.raises(InputError, match="fewer spheres"):
