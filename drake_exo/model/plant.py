@@ -8,6 +8,7 @@ and hip flexion are positive. Seen from the right, counter-clockwise (about
 -y) relative angles are, from the foot up, pitch, -ankle, +knee, -hip.
 """
 
+import re
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import product
@@ -70,6 +71,10 @@ Kind = Literal["coupled", "rigid", "human"]
 KINDS = tuple(ASSEMBLIES)
 
 _OWN = "take it out, or name others"
+# What of a joint is recorded and found goes by NAME, NAME_moment, NAME.KEY.
+_COLUMN = re.compile(
+    r"""(?!time$|.*_moment$)[^\s.,;\[\]"]([^.,;\[\]"\t\n]*[^\s.,;\[\]"])?"""
+)
 _SHELL = "_shell"  # after a cuff's name, what it holds on to
 _FITTED = f"those of the shipped device are {', '.join(CUFFED)}, on one leg"
 
@@ -191,10 +196,11 @@ class Model:
                     f"{device.name}: joint {joint!r} is called as one of the "
                     "person's; rename it in the file"
                 )
-            if "." in joint:  # unknowns and variables are NAME.KEY
+            if not _COLUMN.fullmatch(joint):
                 raise InputError(
-                    f"{device.name}: joint {joint!r} has a dot in its name; "
-                    "rename it in the file"
+                    f"{device.name}: joint {joint!r} cannot name a column; "
+                    "rename it in the file, without dots, commas, brackets, "
+                    "quotes or a blank at an end, not 'time' nor '..._moment'"
                 )
         names = replace(names, coupling=_coupling(tree, _riding(self, tree)))
         return replace(tree, coordinates=names)

@@ -199,12 +199,20 @@ def test_joints_called_as_the_person_s_are_refused(joint):
         edited(ANKLE, ('name="motor"', f'name="{joint}"')).tree  # noqa: B018
 
 
-def test_joints_with_dots_are_refused():
-    """What is found of a joint is called encoder.JOINT or JOINT.factor."""
-    with pytest.raises(
-        InputError, match=r"'left\.motor' has a dot in its name"
-    ):
-        edited(ANKLE, ('name="motor"', 'name="left.motor"')).tree  # noqa: B018
+@pytest.mark.parametrize(
+    "joint",
+    ["left.motor", "a,b", "hip [deg]", "m&quot;", " hip", "time", "hip_moment"],
+)
+def test_joints_that_cannot_name_a_column_are_refused(joint):
+    """Encoders are columns NAME and NAME_moment; found is JOINT.factor."""
+    with pytest.raises(InputError, match="cannot name a column"):
+        edited(ANKLE, ('name="motor"', f'name="{joint}"')).tree  # noqa: B018
+
+
+@pytest.mark.parametrize("joint", ["m", "mot L1", "q/1", "times", "Hüfte"])
+def test_other_names_of_joints_are_the_file_s(joint):
+    model = edited(ANKLE, ('name="motor"', f'name="{joint}"'))
+    assert model.tree.coordinates.device == (joint,)
 
 
 @pytest.mark.parametrize("name", ["calf", "thigh", "exo_calf", "shank_cuff"])
