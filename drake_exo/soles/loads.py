@@ -158,7 +158,12 @@ class Load:
             raise InputError(
                 f"{self.name}: the vertical force is "
                 f"{self.force[first, 2]:g} N at {self.times[first]:g} s; it "
-                "must be above 0 at every sample, so leave the swing phase out"
+                "must be above 0 at every sample, so "
+                + (
+                    "turn all signs: forces are those of the ground on the sole"
+                    if np.median(self.force[:, 2]) < 0.0
+                    else "leave the swing phase out"
+                )
             )
 
     def straight(self) -> "Load":
