@@ -204,8 +204,8 @@ _FINE = (18, 12, 4)
 # samples: an optimum fits itself to few.
 STAGES = (
     Stage(_FINE, 24, 3e-4, 0.2, 24, roughness=10.0),
-    Stage(_FINE, 24, 1e-4, 0.2, 28),
-    Stage(_FINE, 36, 1e-4, 0.2, 100),
+    Stage(_FINE, 24, 2e-4, 0.2, 28),
+    Stage(_FINE, 36, 2e-4, 0.2, 100),
 )
 # Of a mesh that is no brick.
 OWN_STAGES = tuple(replace(stage, divisions=None) for stage in STAGES)
