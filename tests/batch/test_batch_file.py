@@ -265,6 +265,7 @@ trials:
 """
 
 
+@pytest.mark.slow
 def test_any_key_can_be_changed(tmp_path):
     path = tmp_path / "study.yaml"
     path.write_text(STUDY)

@@ -101,6 +101,7 @@ def test_other_radii_give_the_same_forces(result):
     assert np.ptp(lowest) < 2e-4
 
 
+@pytest.mark.slow
 def test_other_radii_may_lie_beyond_bounds_or_fail(result):
     problem = copy(result.problem)
     solver = replace(problem.settings.solver, max_iterations=1)

@@ -501,6 +501,7 @@ def test_left_and_right_exchanged_in_the_names_of_markers(folder):
         assert "left and right markers look exchanged" in found[name][0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plates", "told"),
     [("1", "'right'"), ("2", "'left'"), ("[12]", "'left' and 'right'")],
@@ -531,6 +532,7 @@ def test_a_floor_that_is_not_that_of_standing(folder, up_m, word):
     assert f"left foot are 30 mm {word} than in standing" in text
 
 
+@pytest.mark.slow
 def test_a_marker_that_is_off_for_three_frames(folder):
     def change(data):
         points = data.positions.copy()

@@ -460,6 +460,7 @@ def test_forces_on_the_plate(files, loaded):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_a_laboratory_may_be_written_down_in_any_way(files, loaded, mirrored):
     """Turned, elsewhere, later, points as moments; left and right exchanged."""

@@ -140,6 +140,7 @@ def test_angles_and_velocities_of_both(trials, found):
                 assert len(drawn) == 4
 
 
+@pytest.mark.slow
 @undrawn()
 def test_every_joint_of_the_device_is_drawn(trials, found, monkeypatch):
     """Of two beside one human joint, and of one beside none."""

@@ -280,6 +280,7 @@ def test_what_does_not_hold_is_marked_on_the_page(tmp_path):
     assert clip["mark"].startswith("DOES NOT HOLD: audit (rise_1, 2.5 N")
 
 
+@pytest.mark.slow
 def test_a_cuff_that_a_design_leaves_out_pushes_today(tmp_path):
     folder, moved = tmp_path / "designed", solution()
     (folder / TODAY).mkdir(parents=True)

@@ -270,6 +270,7 @@ def test_authors_step_is_met(data_root):
     assert error < 0.03 * theirs.force[:, 2].max()
 
 
+@pytest.mark.slow
 def test_a_cycle_of_the_playback_is_met(data_root):
     """HRP-4: ZMP within 5 mm RMS, vertical force within 3 %.
 

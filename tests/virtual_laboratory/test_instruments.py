@@ -587,6 +587,7 @@ def written_files(tmp_path, files):
     return markers, time, list(plates.values()), signals
 
 
+@pytest.mark.slow
 def test_files_of_both_kinds_hold_what_happened(tmp_path):
     """In OpenSim's axes, or with z up; 100, 1000 and 200 Hz."""
     trial = happened(0.505)

@@ -155,6 +155,7 @@ def test_levelling_keeps_the_shape_of_the_sole():
     assert distance(flat) == pytest.approx(distance(sole), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_truth_is_drawn_in_one_order():
     """Switching one thing off leaves the other numbers as they were."""
     all_of_it = draw_truth(np.random.default_rng(5), RICH)
