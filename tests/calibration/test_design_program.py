@@ -216,7 +216,7 @@ def test_what_is_tracked_costs_half_its_square(wearer):
     found = 0.5 * x @ (Q @ x) + b @ x + c
     # Large squares of targets and signals cancel.
     large = abs(c) + abs(b @ x)
-    assert found == pytest.approx(expected, rel=1e-9, abs=1e-15 * large)
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-13 * large)
     assert large > 10.0 * abs(expected)
 
 
