@@ -355,7 +355,7 @@ class PredictionProblem(PhaseProblem):
         contact = replace(contact, bushings=own)
         super().__init__(
             model,
-            trials,
+            self._posed(trials, settings),
             contact,
             [],
             settings,
@@ -363,6 +363,10 @@ class PredictionProblem(PhaseProblem):
             contact.posterior,
             refined,
         )
+
+    def _posed(self, trials, settings: PredictionSettings):
+        """The trials, as they are posed."""
+        return trials
 
     def _terms(self, movement, at, effects):
         noise, toes = self.settings.noise, _held_toes(movement, at)
@@ -478,22 +482,11 @@ class PeriodicStep(PredictionProblem):
 
     ends = "periodic"
 
-    def __init__(
-        self,
-        model: Model,
-        trials: Sequence[Trial],
-        contact: ContactModel,
-        settings: PredictionSettings | None = None,
-        **options,
-    ):
-        usual = PredictionSettings(ends=self.ends)
-        settings = schema.checked(
-            settings, PredictionSettings, "settings", usual
-        )
+    def _posed(self, trials, settings):
         speed = settings.speed_m_s
-        if speed is not None:
-            trials = [_loads_at(speed, t) for t in as_trials(trials)]
-        super().__init__(model, trials, contact, settings, **options)
+        if speed is None:
+            return trials
+        return [_loads_at(speed, trial) for trial in as_trials(trials)]
 
     def _terms(self, movement, at, effects):
         return [minimised(movement.torque, self.settings.noise.torque_nm)]
@@ -504,7 +497,7 @@ class PeriodicStep(PredictionProblem):
         other = mirrored(names)
         speed = self.settings.speed_m_s
         if speed is None:
-            speed = (at.q[-1, x] - at.q[0, x]) / at.duration
+            speed = _speed(at)
         ahead = np.zeros(len(names))
         ahead[x] = speed * at.duration
         movement.bound(grid.q[0, [x]], at.q[0, [x]], at.q[0, [x]])
@@ -551,11 +544,15 @@ class PeriodicStep(PredictionProblem):
         return movement
 
 
+def _speed(trial: Trial) -> float:
+    """Mean speed ahead of its root [m/s]."""
+    x, *_ = trial.coordinates.root_columns
+    return (trial.q[-1, x] - trial.q[0, x]) / trial.duration
+
+
 def _loads_at(speed_m_s: float, trial: Trial) -> Trial:
     """A step whose loads go along with a person who goes at another speed."""
-    x, *_ = trial.coordinates.root_columns
-    own = (trial.q[-1, x] - trial.q[0, x]) / trial.duration
-    ahead = (speed_m_s - own) * (trial.times - trial.times[0])
+    ahead = (speed_m_s - _speed(trial)) * (trial.times - trial.times[0])
     moved = {body: w.shifted(ahead) for body, w in trial.applied.items()}
     return replace(trial, applied=moved)
 

@@ -251,9 +251,11 @@ class FiniteStrainSolver:
         before = target.places_before(state.R, self.rest)
         frozen = replace(target, reference=before)
         point = self._evaluate(self._tau(state, frozen), state, frozen, 1.0)
-        tau = np.einsum("kij,kj->ki", point.axes, point.tau)
-        tau = at_rest(tau, self.law, target.force)
-        point.tau = np.einsum("kji,kj->ki", point.axes, tau)
+        point.tau = _in_planes(
+            point.axes,
+            point.tau,
+            lambda tau: at_rest(tau, self.law, target.force),
+        )
         return _Linearisation(self, point, 0.0).wrench_response()
 
     def _planes(self, target, R):
@@ -268,8 +270,7 @@ class FiniteStrainSolver:
         """Residuals with forces and contact places that follow from τ."""
         O, R = guess.O, guess.R  # noqa: E741
         Q, axes = self._planes(target, R)
-        F = np.einsum("kij,kj->ki", axes, tau)
-        F = np.einsum("kji,kj->ki", axes, project(F, self.law))
+        F = _in_planes(axes, tau, lambda tau: project(tau, self.law))
         P = Q + (F - tau) / self.law.penalty
         u = guess.u.copy()
         u[self.nodes] = (P - O) @ R - self.rest
@@ -284,6 +285,12 @@ class FiniteStrainSolver:
             merit = max(float(np.abs(balance).max()), wrench_size(wrench))
         state = FiniteState(F, u, O, R)
         return _Point(state, tau, axes, arm, balance, wrench, merit / scale)
+
+
+def _in_planes(axes, tau, made):
+    """What is `made` of τ (m, 3) in the axes of planes, in the world's."""
+    there = made(np.einsum("kij,kj->ki", axes, tau))
+    return np.einsum("kji,kj->ki", axes, there)
 
 
 @dataclass
