@@ -18,12 +18,14 @@ from drake_exo.calibration.design_result import (
     DesignResult,
     device_work,
     joint_norm,
+    largest_rate,
+    mean_force,
     works,
     worn_norm,
 )
 from drake_exo.calibration.design_variables import Variable
 from drake_exo.calibration.results import solve_summary, write_contact
-from drake_exo.calibration.settings import DesignSettings
+from drake_exo.calibration.settings import DesignSettings, DriveLimits
 from drake_exo.calibration.uncertainty import Bands
 from drake_exo.calibration.wearers import Wearer
 from drake_exo.contact.bushing import (
@@ -62,6 +64,12 @@ _REMOVED = ".removed"
 _KEPT = 0.1
 # Of a limit, from where on a forecast is beyond it.
 _BEYOND = 1.02
+_BEYOND_LIMIT = (
+    "is beyond its limit in the forecast, where the person moves as before: "
+    "lower limits."
+)
+# What is told of a drive, and its unit.
+_DRIVES = {"torque_nm": "N m", "speed_deg_s": "deg/s", "power_w": "W"}
 
 
 @dataclass(frozen=True)
@@ -298,25 +306,25 @@ class Designed:
                 area = self.settings.freedom(cuff).area_m2
                 if what == "after":
                     area *= self.design.cuffs[cuff].area
-                force, rates = [], []
+                force, rates, means = [], [], []
                 for name, own in moved.items():
                     shown = np.ones(3)
                     shown[NORMAL] = who[name].shown(cuff)
                     for m in own:
-                        f = shown * m.trial.cuffs[cuff].components
-                        rate = np.gradient(f[:, NORMAL], m.trial.times)
-                        force.append(f)
-                        rates.append(np.abs(rate).max())
+                        force.append(shown * m.trial.cuffs[cuff].components)
+                        rate = largest_rate(m.trial, cuff)
+                        rates.append(shown[NORMAL] * rate)
+                        mean = mean_force([m.trial], cuff)
+                        means.append(shown[NORMAL] * mean)
                 deflection = self._deflection(
                     cuff,
                     Design() if what == "before" else self.design,
                     {n: [m.trial for m in own] for n, own in moved.items()},
                 )
                 peak = np.max([np.abs(f).max(axis=0) for f in force], axis=0)
-                mean = np.mean([np.abs(f[:, NORMAL]).mean() for f in force])
                 row[what] = {
                     "peak_n": float(peak[NORMAL]),
-                    "mean_n": float(mean),
+                    "mean_n": float(np.mean(means)),
                     "rate_n_s": float(max(rates)),
                     "shear_n": float(peak[TANGENTIAL]),
                     "moment_nm": float(peak[ROTATION]),
@@ -330,6 +338,33 @@ class Designed:
                 built = float(1e3 * found[TANGENTIAL])
             row["measured_migration_mm"] = built
             rows.append(row)
+        return rows
+
+    def drives(self, wearers: Sequence[str] | None = None) -> list[dict]:
+        """The largest of what every drive of the device does.
+
+        Of all wearers, or of those that are named: its torque, besides the
+        joint's friction, the joint's speed, and their product.
+        """
+        who = {w.name: w for w in self.found.problem.wearers}
+        joints = self.first[0].model.coordinates.device
+        rows: list[dict] = [{"joint": joint} for joint in joints]
+        for what, all_moved in (("before", self.before), ("after", self.after)):
+            torques, speeds = [], []
+            for name in wearers or all_moved:
+                for m in all_moved[name]:
+                    names = m.trial.coordinates
+                    torques.append(who[name].drive(m.trial))
+                    speeds.append(m.trial.v[:, names.device_columns])
+            torque, speed = np.vstack(torques), np.vstack(speeds)
+            for row, *most in zip(
+                rows,
+                np.abs(torque).max(axis=0),
+                np.rad2deg(np.abs(speed).max(axis=0)),
+                np.abs(torque * speed).max(axis=0),
+                strict=True,
+            ):
+                row[what] = dict(zip(_DRIVES, map(float, most), strict=True))
         return rows
 
     def wearers(self) -> dict[str, dict[str, float]]:
@@ -484,9 +519,23 @@ class Designed:
                         limit=limit,
                         unit=unit,
                         where=row["cuff"] + others,
-                        sentence="is beyond its limit in the forecast, where "
-                        f"the person moves as before: lower limits.{name}",
+                        sentence=_BEYOND_LIMIT + name,
                     )
+            for row in self.drives([wearer]):
+                joint = row["joint"]
+                limits = self.settings.limits.drives.get(joint, DriveLimits())
+                for key, unit in _DRIVES.items():
+                    limit = getattr(limits, key)
+                    value = row["after"][key]
+                    if limit is not None and value > _BEYOND * limit:
+                        yield note(
+                            "design.limits",
+                            value=value,
+                            limit=limit,
+                            unit=unit,
+                            where=joint + others,
+                            sentence=f"{_BEYOND_LIMIT}drives.{joint}.{key}",
+                        )
         for row in self.variables():
             at = {k: row[k] for k in ("value", "unit")}
             at["where"] = row["name"]
@@ -504,8 +553,13 @@ class Designed:
     def _other_limits(self, row: dict) -> Iterator[tuple]:
         """Of a row of `felt`: its key, unit, the limit's name and value."""
         limits, before = self.settings.limits, row["before"]
-        if limits.pressure_kpa is not None:
-            yield "pressure_kpa", "kPa", "pressure_kpa", limits.pressure_kpa
+        for key, unit in (
+            ("pressure_kpa", "kPa"),
+            ("mean_n", "N"),
+            ("rate_n_s", "N/s"),
+        ):
+            if getattr(limits, key) is not None:
+                yield key, unit, key, getattr(limits, key)
         units = {"shear_n": "N", "peak_n": "N", "moment_nm": "N m"}
         keys = list(units)  # as components are counted
         for k, name, most in limits.of_forces([before[key] for key in keys]):
@@ -566,6 +620,7 @@ class Designed:
                 "forecast": forecast_norm(self.found, self.after),
             },
             "felt": self.felt(),
+            "drives": self.drives(),
             "wearers_n": self.wearers(),
             "variables": self.variables(),
             "parts": self.parts,
@@ -603,6 +658,13 @@ class Designed:
         header = ["cuff", "peak N", "mean N", "rate N/s", "shear N"]
         header += ["moment N m", "pressure kPa", "migration mm"]
         header += ["deflection mm"]
+        parts.append(format_table(header, rows, 1))
+        rows = [
+            [f"{row['joint']} {what}", *row[what].values()]
+            for row in self.drives()
+            for what in ("before", "after")
+        ]
+        header = ["drive", "torque N m", "speed deg/s", "power W"]
         parts.append(format_table(header, rows, 1))
         rows = [
             [

@@ -17,6 +17,7 @@ from drake_exo.calibration.settings import (
     CuffFreedom,
     DesignLimits,
     DesignSettings,
+    DriveLimits,
     Population,
     Solver,
 )
@@ -128,21 +129,19 @@ def test_what_is_felt_is_of_the_largest_forces(made, felt):
             area = AREA_M2
             if when == "after" and cuff == "thigh":
                 area *= 1.6
-            normal, shear, moment, rate = [], [], [], []
+            normal, shear, moment, rate, means = [], [], [], [], []
             for name, trial in trials(made, when).items():
                 force = trial.cuffs[cuff]
                 shown = DIFFER[name].get(cuff, 1.0)
-                normal.append(shown * np.abs(force.normal))
-                slope = np.diff(force.normal) / np.diff(trial.times)
-                means = 0.5 * (slope[1:] + slope[:-1])  # evenly in time
-                ends = slope[0], slope[-1]
-                rate.append(shown * np.abs([*ends, *means]).max())
+                size, steps = shown * np.abs(force.normal), np.diff(trial.times)
+                normal.append(size)
+                means.append(0.5 * (size[1:] + size[:-1]) @ steps / steps.sum())
+                rate.append(shown * np.abs(np.diff(force.normal) / steps).max())
                 shear.append(np.abs(force.tangential).max())
                 moment.append(np.abs(force.moment).max())
             peak = max(f.max() for f in normal)
             assert own["peak_n"] == pytest.approx(peak)
-            mean = np.mean([f.mean() for f in normal])
-            assert own["mean_n"] == pytest.approx(mean)
+            assert own["mean_n"] == pytest.approx(np.mean(means))
             assert own["rate_n_s"] == pytest.approx(max(rate))
             assert own["shear_n"] == pytest.approx(max(shear))
             assert own["moment_nm"] == pytest.approx(max(moment))
@@ -345,6 +344,8 @@ def test_a_forecast_beyond_a_limit_is_told(made, felt, monkeypatch):
     for name, key, unit in (
         ("normal_n", "peak_n", "N"),
         ("pressure_kpa", "pressure_kpa", "kPa"),
+        ("mean_n", "mean_n", "N"),
+        ("rate_n_s", "rate_n_s", "N/s"),
         ("shear_n", "shear_n", "N"),
         ("shear_factor", "shear_n", "N"),
         ("moment_nm", "moment_nm", "N m"),
@@ -361,6 +362,51 @@ def test_a_forecast_beyond_a_limit_is_told(made, felt, monkeypatch):
                 assert check.limit == pytest.approx(most)
                 assert check.unit == unit
                 assert check.sentence.endswith(f"lower limits.{name}")
+
+
+@pytest.mark.slow
+def test_what_drives_do_is_told_and_held_against_limits(made, felt):
+    """The largest of torque, speed and power, over wearers and trials."""
+    rows = {row["joint"]: row for row in made.drives()}
+    own = trials(made, "after").values()
+    for joint, row in rows.items():
+        torques = np.concatenate([t.moment(joint) for t in own])
+        rates = np.concatenate([t.velocity(joint) for t in own])
+        assert row["after"] == pytest.approx(
+            {
+                "torque_nm": np.abs(torques).max(),
+                "speed_deg_s": np.rad2deg(np.abs(rates).max()),
+                "power_w": np.abs(torques * rates).max(),
+            }
+        )
+    # A fifth more than today's at the knee.
+    knee = rows["exo_knee"]
+    ratio = knee["after"]["torque_nm"] / knee["before"]["torque_nm"]
+    assert ratio == pytest.approx(1.2, abs=0.01)
+    assert "exo_knee after" in made.table()
+    assert made.summary()["drives"] == made.drives()
+    for key, unit in (
+        ("torque_nm", "N m"),
+        ("speed_deg_s", "deg/s"),
+        ("power_w", "W"),
+    ):
+        for share, beyond in ((0.99, False), (0.9, True)):
+            most = share * knee["after"][key]
+            limits = DesignLimits(
+                migration_mm=None,
+                moment_factor=None,
+                drives={"exo_knee": DriveLimits(**{key: most})},
+            )
+            held = replace(made, settings=replace(SETTINGS, limits=limits))
+            told = [c for c in held.checks() if c.name == "design.limits"]
+            assert bool(told) == beyond
+            for check in told:
+                assert check.where.startswith("exo_knee, ")
+                assert check.limit == pytest.approx(most)
+                assert check.unit == unit
+                assert check.sentence.endswith(
+                    f"lower limits.drives.exo_knee.{key}"
+                )
 
 
 @pytest.mark.slow

@@ -51,13 +51,14 @@ from drake_exo.calibration.wearers import (
     less,
 )
 from drake_exo.collocation.bushing_kernels import (
+    INTERACTION_FORCE_UNIT,
     AssistanceKernel,
     CuffKernel,
     DesignDynamicsKernel,
     ForceNormKernel,
     MigrationKernel,
     MovedWeight,
-    PressureKernel,
+    ProductKernel,
 )
 from drake_exo.collocation.kernels import MOMENT_UNIT
 from drake_exo.collocation.trial_program import TrialProgram, minimised
@@ -70,6 +71,7 @@ from drake_exo.contact.strap import (
     Design,
     weight_above,
 )
+from drake_exo.errors import InputError
 from drake_exo.measurement.trial import Trial
 from drake_exo.nlp import ipopt
 from drake_exo.nlp.ipopt import Iterate
@@ -87,6 +89,7 @@ _BEYOND = 5.0
 # The objective's weight where nothing changes: forces of the own movement, not
 # those of a device that swings to please them.
 _LIGHT = 0.1
+_POWER_UNIT_W = 10.0
 # Places of a cuff that every design has, see BushingKinematics.
 _NUM_PLACES = 2 + len(PRELOADS)
 
@@ -125,6 +128,10 @@ class _Wearing(PhaseProblem):
         self._slid: dict[tuple[str, str], np.ndarray] = {}
         self._beyond: dict[str, np.ndarray] = {}
         self._pressed: dict[tuple[str, str], np.ndarray] = {}
+        self._rising: dict[tuple[str, str], np.ndarray] = {}
+        self._sizes: dict[tuple[str, str], np.ndarray] = {}
+        self._means: dict[str, np.ndarray] = {}
+        self._powers: dict[str, np.ndarray] = {}
         super().__init__(
             wearer.model,
             [replace(t, name=f"{wearer.name} {t.name}") for t in wearer.trials],
@@ -133,6 +140,7 @@ class _Wearing(PhaseProblem):
             phase,
             program=posed.program,
         )
+        self._limit_mean()
         self._limit_support()
 
     def moving(self, cuff: str):
@@ -233,9 +241,11 @@ class _Wearing(PhaseProblem):
 
     def _add(self, trial: Trial) -> TrialProgram:
         movement = super()._add(trial)
-        self._drive(movement, trial.sample(movement.grid.times))
+        at = trial.sample(movement.grid.times)
+        self._drive(movement, at)
         self._add_forces(movement)
         self._limit(movement)
+        self._limit_drives(movement, at)
         return movement
 
     def _drive(self, movement: TrialProgram, at: Trial) -> None:
@@ -247,11 +257,7 @@ class _Wearing(PhaseProblem):
         angles, rates = (x[:, names.device_columns] for x in (at.q, at.v))
         self._ways.append(movement.grid.quadrature[:, None] * rates)
         for i, joint in enumerate(names.device):
-            own = [
-                n
-                for n in posed.variables
-                if n.startswith(f"{joint}.") and is_assistance(n)
-            ]
+            own = posed.assistance(joint)
             if not own:
                 movement.bound(torques[:, i], today[:, i], today[:, i])
                 continue
@@ -343,6 +349,8 @@ class _Wearing(PhaseProblem):
                 self._limit_migration(movement, cuff, times)
             if limits.pressure_kpa is not None:
                 self._limit_pressure(movement, cuff, times)
+            if limits.rate_n_s is not None:
+                self._limit_rate(movement, cuff, times)
         if limits.effort_factor is not None:
             own = movement.torque[:, ~movement.coordinates.is_device_joint]
             most = limits.effort_factor * self._today.largest_moments
@@ -427,9 +435,115 @@ class _Wearing(PhaseProblem):
         area = movement.at_nodes(self._of_cuff(cuff, ["area"]))
         self.program.add_constraints(
             name,
-            PressureKernel(area_m2),
+            ProductKernel(1e3 * area_m2, INTERACTION_FORCE_UNIT),
             np.hstack([movement.cuffs[cuff][:, [NORMAL]], area, pressed]),
         )
+
+    def _limit_rate(self, movement, cuff: str, times) -> None:
+        """Of the normal force, from each node to the next."""
+        steps = np.diff(movement.grid.times)
+        n, name = len(steps), f"{movement.name} {cuff} rate of normal force"
+        rate = movement.new(f"{cuff} rate", [100.0], n)
+        differ = self.wearer.shown(cuff)
+        self.program.label("limit", rate, [name], times[:-1], [("N/s", differ)])
+        self._rising[cuff, movement.name] = rate
+        most = self._posed.settings.limits.rate_n_s / differ
+        if self.wearer.is_drawn:
+            most = max(most, self._today.largest_rates[cuff])
+        movement.bound(rate.ravel(), np.full(n, -most), np.full(n, most))
+        rise = np.diff(np.eye(n + 1), axis=0)
+        self.program.prog.AddLinearEqualityConstraint(
+            np.hstack([rise, -np.diag(steps)]),
+            np.zeros(n),
+            np.concatenate([movement.cuffs[cuff][:, NORMAL], rate.ravel()]),
+        ).evaluator().set_description(name)
+
+    def _limit_mean(self) -> None:
+        """Of the size of each cuff's normal force, over time and trials."""
+        limit = self._posed.settings.limits.mean_n
+        if self._today is None or limit is None:
+            return
+        prog = self.program.prog
+        for cuff in self.bushings:
+            differ = self.wearer.shown(cuff)
+            name = f"{self.wearer.name} {cuff} mean normal force"
+            mean = self.program.add_variables([name], [10.0])
+            self.program.label(
+                "limit", mean[None], [name], [""], [("N", differ)]
+            )
+            self._means[cuff] = mean
+            sizes = []
+            for movement in self.movements:
+                force = movement.cuffs[cuff][:, NORMAL]
+                size = movement.new(f"{cuff} size", [10.0]).ravel()
+                eye, n = np.eye(len(size)), len(size)
+                prog.AddLinearConstraint(
+                    np.block([[eye, eye], [eye, -eye]]),
+                    np.zeros(2 * n),
+                    np.full(2 * n, np.inf),
+                    np.concatenate([size, force]),
+                ).evaluator().set_description(f"{movement.name} {cuff} size")
+                self._sizes[cuff, movement.name] = size
+                sizes.append(size)
+            prog.AddLinearEqualityConstraint(
+                np.r_[self._shares(), -1.0][None],
+                [0.0],
+                np.concatenate([*sizes, mean]),
+            ).evaluator().set_description(name)
+            most = limit / differ
+            if self.wearer.is_drawn:
+                most = max(most, self._today.mean_forces[cuff])
+            prog.AddBoundingBoxConstraint([0.0], [most], mean)
+
+    def _shares(self) -> np.ndarray:
+        """Of all nodes in a mean over time, and then over trials."""
+        weights = [m.grid.quadrature for m in self.movements]
+        return np.concatenate([w / w.sum() for w in weights]) / len(weights)
+
+    def _limit_drives(self, movement: TrialProgram, at: Trial) -> None:
+        """What each drive can do; a joint's friction is not the drive's."""
+        if self._today is None:
+            return
+        names, grid = movement.coordinates, movement.grid
+        times = [f"at {t:.3g} s" for t in grid.times]
+        drive = self.wearer.drive(at)
+        passive = self._given(at) - drive
+        for joint, limits in self._posed.settings.limits.drives.items():
+            column = names.device.index(joint)
+            own = passive[:, column]
+            torque = movement.torque[:, names.joint(joint)]
+            rate = grid.v[:, names.index(joint)]
+            if limits.torque_nm is not None:
+                self._check_drive(joint, np.abs(drive[:, column]).max())
+                most = limits.torque_nm
+                movement.bound(torque, own - most, own + most)
+            if limits.speed_deg_s is not None:
+                most = np.full(len(rate), np.deg2rad(limits.speed_deg_s))
+                movement.bound(rate, -most, most)
+            if limits.power_w is None:
+                continue
+            name = f"{movement.name} {joint} power"
+            power = movement.new(f"{joint} power", [10.0])
+            self.program.label("limit", power, [name], times, [("W", 1.0)])
+            self._powers[joint, movement.name] = power
+            most = np.full(len(power), limits.power_w)
+            movement.bound(power.ravel(), -most, most)
+            self.program.add_constraints(
+                name,
+                ProductKernel(1.0, _POWER_UNIT_W),
+                np.column_stack([power, torque, rate]),
+                data=own[:, None],
+            )
+
+    def _check_drive(self, joint: str, today: float) -> None:
+        """Refuse a limit on a torque that the design leaves as it is."""
+        most = self._posed.settings.limits.drives[joint].torque_nm
+        if today > most and not self._posed.assistance(joint):
+            raise InputError(
+                f"design.limits.drives.{joint}.torque_nm is {most:g}; the "
+                f"drive gives {self.wearer.name} up to {today:.3g} N m, which "
+                "a design does not change (too little of all drives)"
+            )
 
     def work(self, trials: Sequence[Trial]) -> float:
         """Of the device's torques over its movements of today [J].
@@ -508,6 +622,10 @@ class _Wearing(PhaseProblem):
             ]
         for movement, trial in zip(self.movements, trials, strict=True):
             self._fill_trial(x, movement, trial, contact, design)
+        for cuff, mean in self._means.items():
+            sizes = [self._sizes[cuff, m.name] for m in self.movements]
+            sizes = x[self.program.indices(np.concatenate(sizes))]
+            x[self.program.indices(mean)] = self._shares() @ sizes
         if self._total is not None:
             ways, torques = self._on_the_way()
             total = ways @ x[self.program.indices(torques)]
@@ -537,11 +655,27 @@ class _Wearing(PhaseProblem):
                 share = design.cuffs.get(cuff, CuffDesign()).area
                 area = self._posed.settings.freedom(cuff).area_m2
                 x[indices(pressed)] = 1e-3 * force[:, [NORMAL]] / (share * area)
+            rising = self._rising.get((cuff, movement.name))
+            if rising is not None:
+                rise = np.diff(force[:, NORMAL]) / np.diff(at.times)
+                x[indices(rising)] = rise[:, None]
+            size = self._sizes.get((cuff, movement.name))
+            if size is not None:
+                x[indices(size)] = np.abs(force[:, NORMAL])
+        given = assisted(at, design, friction=self.wearer.friction(at)).moments
+        passive = self._given(at) - self.wearer.drive(at)
+        names = movement.coordinates
+        for joint in self._posed.settings.limits.drives:
+            power = self._powers.get((joint, movement.name))
+            if power is not None:
+                torque = given[:, names.joint(joint)]
+                torque = torque - passive[:, names.device.index(joint)]
+                x[indices(power)[:, 0]] = torque * at.v[:, names.index(joint)]
         self._fill(
             x,
             movement,
             (at.q, at.v, at.a),
-            assisted(at, design, friction=self.wearer.friction(at)).moments,
+            given,
             self._under_segments(at),
             cuffs,
         )
@@ -627,6 +761,14 @@ class DesignProblem(Compiles):
                 0.5 * _LEAST_GAIN * ((variable - v.today) / v.size) ** 2
             )
         return variable
+
+    def assistance(self, joint: str) -> list[str]:
+        """Names of the variables that change a joint's torque."""
+        return [
+            n
+            for n in self.variables
+            if n.startswith(f"{joint}.") and is_assistance(n)
+        ]
 
     @property
     def movements(self) -> list[TrialProgram]:

@@ -55,6 +55,22 @@ class WearerResult:
         return {c: np.vstack(f).max(axis=0) for c, f in forces.items()}
 
     @cached_property
+    def largest_rates(self) -> dict[str, float]:
+        """Cuff -> how fast its normal force rises or falls at most [N/s]."""
+        return {
+            cuff: max(largest_rate(t, cuff) for t in self.trials)
+            for cuff in self.problem.bushings
+        }
+
+    @cached_property
+    def mean_forces(self) -> dict[str, float]:
+        """Cuff -> size of its normal force, mean over time and trials [N]."""
+        return {
+            cuff: mean_force(self.trials, cuff)
+            for cuff in self.problem.bushings
+        }
+
+    @cached_property
     def largest_deflections(self) -> dict[str, np.ndarray]:
         """Cuff -> largest deflection (3,) over trials [m, m, rad]."""
         return {
@@ -130,6 +146,24 @@ class DesignResult:
         optimum = Optimum(program, y, border)
         slopes = optimum.cost_by_fixed(np.array(list(fixed.values()), int))
         return dict(zip(fixed, map(float, slopes), strict=True))
+
+
+def largest_rate(trial: Trial, cuff: str) -> float:
+    """How fast a cuff's normal force rises or falls at most [N/s].
+
+    From each sample to the next.
+    """
+    rises = np.diff(trial.cuffs[cuff].normal) / np.diff(trial.times)
+    return float(np.abs(rises).max())
+
+
+def mean_force(trials: Sequence[Trial], cuff: str) -> float:
+    """Size of a cuff's normal force, mean over time and then trials [N]."""
+    means = [
+        np.trapezoid(np.abs(t.cuffs[cuff].normal), t.times) / t.duration
+        for t in trials
+    ]
+    return float(np.mean(means))
 
 
 class Norm(NamedTuple):

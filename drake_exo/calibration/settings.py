@@ -761,11 +761,31 @@ def _check_today(freedom, names) -> None:
 
 
 @dataclass(frozen=True)
+class DriveLimits:
+    """What the drive of a device's joint can do; null for no such limit.
+
+    Attributes:
+        torque_nm: most that it gives, besides the joint's friction.
+        speed_deg_s: fastest that its joint turns.
+        power_w: most that it gives or takes up: torque times speed.
+
+    >>> DriveLimits(torque_nm=30.0).power_w is None
+    True
+    """
+
+    torque_nm: float | None = positive("N m", None)
+    speed_deg_s: float | None = positive("deg/s", None)
+    power_w: float | None = positive("W", None)
+
+
+@dataclass(frozen=True)
 class DesignLimits:
     """What no wearer may feel more of; null for no such limit.
 
     Attributes:
         normal_n: force of a cuff across the limb.
+        mean_n: its mean over time, over a wearer's trials.
+        rate_n_s: how fast it rises or falls.
         shear_n: along it.
         pressure_kpa: force across the limb over the cuff's area, mean.
         migration_mm: deflection along the limb, as encoders tell it, such that
@@ -777,12 +797,15 @@ class DesignLimits:
         effort_factor: moments of the person's joints against the largest
             ones of today.
         support: how far the device's work may be from today's, as a share.
+        drives: of the device's joints, by name; none where none is named.
 
     >>> DesignLimits(pressure_kpa=8.0).migration_mm
     7.0
     """
 
     normal_n: float | None = positive("N", None)
+    mean_n: float | None = positive("N", None)
+    rate_n_s: float | None = positive("N/s", None)
     shear_n: float | None = positive("N", None)
     pressure_kpa: float | None = positive("kPa", None)
     migration_mm: float | None = positive("mm", 7.0)
@@ -791,6 +814,7 @@ class DesignLimits:
     shear_factor: float | None = positive("1", None)
     effort_factor: float | None = positive("1", 1.05)
     support: float | None = positive("1", 0.005)
+    drives: dict[str, DriveLimits] = field(default_factory=dict)
 
     def of_forces(
         self, today: Sequence[float]

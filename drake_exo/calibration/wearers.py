@@ -455,6 +455,12 @@ def check_wearers(wearers: Sequence[Wearer], settings: DesignSettings) -> None:
                 f"design.joints.{joint}: a design moves no such joint of the "
                 f"device; it moves {', '.join(movable(first)) or 'none'}"
             )
+    for joint in settings.limits.drives:
+        if joint not in first.coordinates.device:
+            raise InputError(
+                f"design.limits.drives.{joint}: the device has no such joint; "
+                f"it has {', '.join(first.coordinates.device)}"
+            )
     for wearer in wearers:
         for what, own, usual in (
             ("cuffs", wearer.model.cuffs, first.cuffs),

@@ -612,40 +612,39 @@ class MigrationKernel:
         return H
 
 
-class PressureKernel:
-    """Normal force minus pressure times area, 0 where they belong together.
+class ProductKernel:
+    """What a product of two variables makes, such as pressure times area.
 
-    Inputs: normal force [N], area against today's, pressure [kPa]. Output in
-    units of 10 N.
+    Inputs: whole, a, b; data: what a counts from (0 by default). Output whole
+    - factor (a - a0) b, in units of `unit`.
 
     Args:
-        area_m2: of today.
+        factor: of the product.
+        unit: of the output.
     """
 
     sparsity = np.ones((1, 3), bool)
 
-    def __init__(self, area_m2: float):
-        self._n_kpa = 1e3 * area_m2
+    def __init__(self, factor: float, unit: float):
+        self._factor, self._unit = factor, unit
+
+    def _shifted(self, x, data):
+        whole, a, b = x.T
+        return whole, a if data is None else a - data[:, 0], b
 
     def evaluate(self, x, data):
         """See Kernel."""
-        force, area, pressure = x.T
-        excess = force - self._n_kpa * area * pressure
-        return excess[:, None] / INTERACTION_FORCE_UNIT
+        whole, a, b = self._shifted(x, data)
+        return (whole - self._factor * a * b)[:, None] / self._unit
 
     def jacobian(self, x, data):
         """See Kernel."""
-        _, area, pressure = x.T
-        one = np.ones_like(area)
-        J = np.stack(
-            [one, -self._n_kpa * pressure, -self._n_kpa * area], axis=1
-        )
-        return J[:, None] / INTERACTION_FORCE_UNIT
+        _, a, b = self._shifted(x, data)
+        slope = [np.ones_like(a), -self._factor * b, -self._factor * a]
+        return np.stack(slope, axis=1)[:, None] / self._unit
 
     def curvature(self, x, weights, data):
         """See Kernel."""
         H = np.zeros((len(x), 3, 3))
-        H[:, 1, 2] = H[:, 2, 1] = (
-            -weights[:, 0] * self._n_kpa / INTERACTION_FORCE_UNIT
-        )
+        H[:, 1, 2] = H[:, 2, 1] = -weights[:, 0] * self._factor / self._unit
         return H

@@ -159,9 +159,9 @@ class TrialProgram:
             np.hstack([grid.q, grid.v, self.poses[body]]),
         )
 
-    def new(self, what: str, units) -> np.ndarray:
-        """New variables (n, len(units)) at the nodes, of typical sizes."""
-        prog, n = self.program.prog, len(self.grid.times)
+    def new(self, what: str, units, rows: int | None = None) -> np.ndarray:
+        """New variables (rows, len(units)) of typical sizes, one a node."""
+        prog, n = self.program.prog, rows or len(self.grid.times)
         variables = prog.NewContinuousVariables(
             n * len(units), f"{self.name} {what}"
         ).reshape(n, len(units))

@@ -21,6 +21,7 @@ from drake_exo.calibration.settings import (
     CuffFreedom,
     DesignLimits,
     DesignSettings,
+    DriveLimits,
     Population,
     PredictionSettings,
     Solver,
@@ -423,6 +424,60 @@ def test_pressure_keeps_its_limit(wearer, today):
     after = result.wearers["somebody"].largest_forces
     pressures = [0.1 * after[c][1] / result.design.cuffs[c].area for c in after]
     assert max(pressures) <= most * 1.001
+
+
+def test_mean_and_rate_of_forces_keep_their_limits(wearer, today):
+    """Less than today's by a tenth, and never where nothing limits them."""
+    before = today.wearers["somebody"]
+    loose = DesignProblem([wearer], EVERYTHING, today=today).solve()
+    mean, rate = (
+        0.9 * max(getattr(loose.wearers["somebody"], key).values())
+        for key in ("mean_forces", "largest_rates")
+    )
+    assert mean < max(before.mean_forces.values())
+    for limits, key, most in (
+        ({"mean_n": mean}, "mean_forces", mean),
+        ({"rate_n_s": rate}, "largest_rates", rate),
+    ):
+        limits = replace(SETTINGS.limits, **limits)
+        settings = replace(EVERYTHING, limits=limits)
+        result = DesignProblem([wearer], settings, today=today).solve()
+        assert result.solution.success
+        after = getattr(result.wearers["somebody"], key)
+        assert max(after.values()) <= most * 1.005
+
+
+def test_drives_keep_their_limits(wearer, today):
+    """The knee's power and torque; the hip's speed is as it moves."""
+    own = today.wearers["somebody"]
+    trial = own.trials[0]
+    names = trial.coordinates
+    torque = wearer.drive(trial)[:, names.device.index("exo_knee")]
+    power = torque * trial.velocity("exo_knee")
+    limits = {
+        "exo_knee": DriveLimits(
+            torque_nm=0.95 * np.abs(torque).max(),
+            power_w=0.9 * np.abs(power).max(),
+        )
+    }
+    settings = replace(
+        SETTINGS,
+        points=3,
+        limits=replace(SETTINGS.limits, drives=limits, support=0.1),
+    )
+    result = DesignProblem([wearer], settings, today=today).solve()
+    assert result.solution.success
+    (after,) = result.wearers["somebody"].trials
+    given = wearer.drive(after)[:, names.device.index("exo_knee")]
+    assert np.abs(given).max() <= limits["exo_knee"].torque_nm * 1.001
+    made = given * after.velocity("exo_knee")
+    assert np.abs(made).max() <= limits["exo_knee"].power_w * 1.001
+    # Faster than its drive turns nobody rises.
+    slow = {"exo_hip": DriveLimits(speed_deg_s=5.0)}
+    settings = replace(SETTINGS, limits=replace(SETTINGS.limits, drives=slow))
+    solution = DesignProblem([wearer], settings, today=today).solve().solution
+    assert not solution.success
+    assert "exo_hip" in solution.explain() and "deg/s" in solution.explain()
 
 
 def test_hinges_in_cuffs_bear_less_moment(wearer, today):

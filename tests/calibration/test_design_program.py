@@ -29,6 +29,7 @@ from drake_exo.calibration.settings import (
     CuffFreedom,
     DesignLimits,
     DesignSettings,
+    DriveLimits,
     GainFreedom,
     JointFreedom,
     Solver,
@@ -41,10 +42,13 @@ from drake_exo.contact.strap import (
     Gains,
     weight_above,
 )
+from drake_exo.errors import InputError
 from drake_exo.measurement.settings import Device, JointDrive
 from drake_exo.model.plant import nominal_model
 
 CUFFS = ("shank", "thigh", "pelvis")
+KNEE = DriveLimits(torque_nm=25.0, speed_deg_s=300.0, power_w=60.0)
+DRIVES = {"drives": {"exo_knee": KNEE}}
 SETTINGS = DesignSettings(points=1, solver=Solver(10.0, tolerance=1e-6))
 EVERYTHING = replace(SETTINGS, points=2, **FREEDOM)
 
@@ -224,22 +228,25 @@ def test_a_program_s_constraints_hold_today(wearer, today):
     """But for the grid's: the drawn movement is no solution of it."""
     problem = DesignProblem(
         [wearer],
-        replace(EVERYTHING, limits=DesignLimits(pressure_kpa=5.0)),
+        replace(EVERYTHING, limits=DesignLimits(pressure_kpa=5.0, **DRIVES)),
         today=today,
     )
     x = problem.guess()
     checked = set()
     for batch in problem.program.constraints:
-        kinds = ("as designed", "assistance", "migration", "pressure")
+        kinds = ("as designed", "assistance", "migration", "pressure", "power")
         if batch.name.endswith(kinds):
             values = batch.kernel.evaluate(x[batch.indices], batch.data)
             np.testing.assert_allclose(values, 0.0, atol=1e-9)
             checked.add(batch.name.split()[-1])
-    assert checked == {"designed", "assistance", "migration", "pressure"}
+    wanted = {"designed", "assistance", "migration", "pressure", "power"}
+    assert checked == wanted
 
 
 def test_derivatives_of_the_program(wearer, today):
-    limits = replace(SETTINGS.limits, pressure_kpa=3.0)
+    limits = replace(
+        SETTINGS.limits, pressure_kpa=3.0, mean_n=9.0, rate_n_s=50.0, **DRIVES
+    )
     problem = DesignProblem(
         [wearer], replace(EVERYTHING, limits=limits), today=today
     )
@@ -370,6 +377,105 @@ def test_pressure_and_migration_are_filled_in(wearer, today):
         d = values_of(problem, x, part._slid[cuff, movement.name])
         k = share * wearer.contact.bushings[cuff].tangential_stiffness
         np.testing.assert_allclose(d[:, 0], f[:, 0] / k, atol=1e-12)
+
+
+def least_room(problem, x, ending):
+    """Of the linear rows whose name ends so, within their bounds."""
+    prog = problem.program.prog
+    rooms = []
+    for c in (*prog.linear_constraints(), *prog.linear_equality_constraints()):
+        law = c.evaluator()
+        if law.get_description().endswith(ending):
+            values = law.GetDenseA() @ values_of(problem, x, c.variables())
+            rooms += [values - law.lower_bound(), law.upper_bound() - values]
+    return np.concatenate(rooms).min()
+
+
+def test_mean_and_rate_of_a_cuff_s_force_have_limits(wearer, today):
+    """As mats would show them; over trials of any length, each once."""
+    first = replace(wearer.trials[0], name="first")
+    more = worn(wearer.model, duration_s=3.0).trials[0]
+    both = replace(
+        wearer,
+        trials=(first, replace(more, name="second")),
+        differ={"thigh": 2.0},
+    )
+    before = as_guessed(DesignProblem([both], SETTINGS, held=True))
+    limits = DesignLimits(mean_n=12.0, rate_n_s=40.0)
+    settings = replace(SETTINGS, limits=limits)
+    for drawn in (False, True):
+        who = replace(both, is_drawn=drawn)
+        problem = DesignProblem([who], settings, today=before)
+        (part,) = problem.parts
+        x = problem.guess()
+        own = before.wearers["somebody"]
+        for cuff in CUFFS:
+            most = np.array([12.0, 40.0]) / both.shown(cuff)
+            means, rates = [], []
+            for trial, movement in zip(own.trials, part.movements, strict=True):
+                at = trial.sample(movement.grid.times)
+                force = at.cuffs[cuff].normal
+                rates.append(np.diff(force) / np.diff(at.times))
+                rate = part._rising[cuff, movement.name]
+                found = values_of(problem, x, rate)[:, 0]
+                np.testing.assert_allclose(found, rates[-1], atol=1e-9)
+                w = movement.grid.quadrature
+                means.append(w @ np.abs(force) / trial.duration)
+            mean = part._means[cuff]
+            assert values_of(problem, x, mean) == pytest.approx(np.mean(means))
+            largest = max(np.abs(r).max() for r in rates)
+            if drawn:
+                most = np.maximum(most, [own.mean_forces[cuff], largest])
+                assert own.largest_rates[cuff] == pytest.approx(largest)
+            np.testing.assert_allclose(
+                np.ravel(bounds(problem, mean)), [0.0, most[0]]
+            )
+            lower, upper = bounds(problem, rate)
+            np.testing.assert_allclose(upper, most[1], rtol=1e-9)
+            np.testing.assert_allclose(lower, -upper)
+        # What stands in the rows is what was filled in.
+        for ending in ("rate of normal force", "mean normal force", "size"):
+            assert least_room(problem, x, ending) > -1e-9
+
+
+def test_a_drive_has_limits_and_friction_is_not_the_drive_s(wearer, today):
+    device = Device(knee=JointDrive(coulomb_nm=2.0))
+    with_friction = replace(wearer, device=device)
+    settings = replace(SETTINGS, limits=DesignLimits(**DRIVES))
+    problem = DesignProblem([with_friction], settings, today=today)
+    (part,) = problem.parts
+    (movement,) = part.movements
+    at = wearer.trials[0].sample(movement.grid.times)
+    names = wearer.model.coordinates
+    place = names.device.index("exo_knee")
+    friction = with_friction.friction(at)[:, place]
+    assert np.abs(friction).max() > 1.0
+    lower, upper = bounds(problem, movement.torque[:, names.joint("exo_knee")])
+    np.testing.assert_allclose(lower, friction - 25.0)
+    np.testing.assert_allclose(upper, friction + 25.0)
+    rate = movement.grid.v[:, names.index("exo_knee")]
+    _, upper = bounds(problem, rate)
+    np.testing.assert_allclose(upper, np.deg2rad(300.0))
+    power = part._powers["exo_knee", movement.name]
+    lower, upper = bounds(problem, power)
+    np.testing.assert_allclose((lower, upper), (0 * upper - 60, 0 * upper + 60))
+    x = problem.guess()
+    torque = values_of(problem, x, movement.torque[:, names.joint("exo_knee")])
+    np.testing.assert_allclose(
+        values_of(problem, x, power)[:, 0],
+        (torque - friction) * values_of(problem, x, rate),
+        atol=1e-12,
+    )
+
+
+def test_limits_on_drives_that_cannot_be_are_refused(wearer, today):
+    for limits, said in (
+        ({"knee": KNEE}, "device has no such joint; it has exo_ankle"),
+        ({"exo_ankle": DriveLimits(0.1)}, "up to 0.495 N m, which a design"),
+    ):
+        settings = replace(SETTINGS, limits=DesignLimits(drives=limits))
+        with pytest.raises(InputError, match=said):
+            DesignProblem([wearer], settings, today=today)
 
 
 def test_the_device_does_the_work_that_it_is_told_to(wearer, today):

@@ -9,7 +9,7 @@ from drake_exo.collocation.bushing_kernels import (
     CuffKernel,
     ForceNormKernel,
     MigrationKernel,
-    PressureKernel,
+    ProductKernel,
 )
 from drake_exo.contact.bushing import BushingKinematics
 
@@ -59,11 +59,17 @@ def cases(rng, tree):
             rng.uniform(-0.5, 0.5, (N, bushing.nq + 4)),
             None,
         ),
-        "pressure": (PressureKernel(0.02), _felt(rng, N), None),
+        "pressure": (ProductKernel(20.0, 10.0), _felt(rng, N), None),
+        "power": (
+            ProductKernel(1.0, 10.0),
+            rng.uniform(-3.0, 3.0, (N, 3)),
+            rng.uniform(-1.0, 1.0, (N, 1)),
+        ),
     }
 
 
-NAMES = ["cuff", "assistance", "peak", "mean", "migration", "pressure"]
+CURVED = ["cuff", "peak", "mean", "migration", "pressure", "power"]
+NAMES = [*CURVED, "assistance"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -88,9 +94,7 @@ def test_a_wrong_derivative_is_caught(name, rng, nominal, monkeypatch):
         check_jacobian(kernel, x, data)
 
 
-@pytest.mark.parametrize(
-    "name", ["cuff", "peak", "mean", "migration", "pressure"]
-)
+@pytest.mark.parametrize("name", CURVED)
 def test_curvature(name, rng, nominal, monkeypatch):
     kernel, x, data = cases(rng, nominal("coupled").tree)[name]
     weights = rng.uniform(-1.0, 1.0, (N, len(kernel.sparsity)))
@@ -137,6 +141,13 @@ def test_squares_sum_to_the_norm(rng):
 
 
 def test_pressure_is_force_over_area():
-    """30 N on 1.5 times 200 cm^2."""
+    """30 N on 1.5 times 200 cm^2: 1 kPa."""
     x = np.array([[30.0, 1.5, 1.0]])
-    assert PressureKernel(0.02).evaluate(x, None) == pytest.approx(0.0)
+    assert ProductKernel(20.0, 10.0).evaluate(x, None) == pytest.approx(0.0)
+
+
+def test_power_is_the_drive_s_torque_times_speed():
+    """8 N m at 2 rad/s, of which 3 N m are friction; 1 W more is 0.1."""
+    x, friction = np.array([[11.0, 8.0, 2.0]]), np.array([[3.0]])
+    off = ProductKernel(1.0, 10.0).evaluate(x, friction)
+    np.testing.assert_allclose(off, [[0.1]], rtol=1e-14)
