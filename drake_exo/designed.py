@@ -197,12 +197,15 @@ class Designed:
             np.array([largest_force(moved[k].trial, cuff) for k in chosen])
             for moved in (before, after)
         )
-        half = np.array([_half_width(after[k], cuff) for k in chosen])
+        halves = [
+            _half_widths(after[k], cuff, r)[NORMAL]
+            for k, r in zip(chosen, ratio, strict=True)
+        ]
         built = [
             t for ts in self.measured.values() for t in ts if cuff in t.cuffs
         ]
         forecast = float(np.mean(ratio * now))
-        width = float(np.mean(np.maximum(ratio, 1.0) * half))
+        width = float(np.mean(halves))
         return Peak(
             _mean([largest_force(before[k].measured, cuff) for k in seen]),
             float(np.mean(ratio * was)),
@@ -289,12 +292,14 @@ class Designed:
 
         Of all wearers, or of those that are named. Forces across the limb as
         mats would show them, migration as encoders would;
-        `measured_migration_mm` is that once the design was built.
+        `measured_migration_mm` is that once the design was built,
+        `half_width_95` of the forecast's forces (None without bands). A
+        mean's is the mean half width: what is not known of cuffs goes on.
         """
         rows = []
         who = {w.name: w for w in self.found.problem.wearers}
         for cuff in self.peaks:
-            row: dict = {"cuff": cuff}
+            row: dict = {"cuff": cuff, "half_width_95": None}
             for what, all_moved in (
                 ("before", self.before),
                 ("after", self.after),
@@ -306,22 +311,22 @@ class Designed:
                 area = self.settings.freedom(cuff).area_m2
                 if what == "after":
                     area *= self.design.cuffs[cuff].area
-                force, rates, means = [], [], []
+                peaks, rates, means, halves = [], [], [], []
                 for name, own in moved.items():
                     shown = np.ones(3)
-                    shown[NORMAL] = who[name].shown(cuff)
+                    shown[NORMAL] = factor = who[name].shown(cuff)
                     for m in own:
-                        force.append(shown * m.trial.cuffs[cuff].components)
-                        rate = largest_rate(m.trial, cuff)
-                        rates.append(shown[NORMAL] * rate)
-                        mean = mean_force([m.trial], cuff)
-                        means.append(shown[NORMAL] * mean)
+                        force = shown * m.trial.cuffs[cuff].components
+                        peaks.append(np.abs(force).max(axis=0))
+                        rates.append(factor * largest_rate(m.trial, cuff))
+                        means.append(factor * mean_force([m.trial], cuff))
+                        halves.append(_half_widths(m, cuff, factor))
                 deflection = self._deflection(
                     cuff,
                     Design() if what == "before" else self.design,
                     {n: [m.trial for m in own] for n, own in moved.items()},
                 )
-                peak = np.max([np.abs(f).max(axis=0) for f in force], axis=0)
+                peak = np.max(peaks, axis=0)
                 row[what] = {
                     "peak_n": float(peak[NORMAL]),
                     "mean_n": float(np.mean(means)),
@@ -332,6 +337,18 @@ class Designed:
                     "migration_mm": float(1e3 * deflection[TANGENTIAL]),
                     "deflection_mm": float(1e3 * deflection[NORMAL]),
                 }
+                if what == "after" and all(
+                    m.bands is not None for own in moved.values() for m in own
+                ):
+                    halves = np.array(halves)
+                    half = halves[np.argmax(peaks, axis=0), range(3)]
+                    row["half_width_95"] = {
+                        "peak_n": float(half[NORMAL]),
+                        "mean_n": float(halves[:, 3].mean()),
+                        "shear_n": float(half[TANGENTIAL]),
+                        "moment_nm": float(half[ROTATION]),
+                        "pressure_kpa": float(1e-3 * half[NORMAL] / area),
+                    }
             built = None
             if self.seen and cuff not in self.design.removed:
                 found = self._deflection(cuff, self.design, self.seen, False)
@@ -651,6 +668,9 @@ class Designed:
             for what in ("before", "after"):
                 own = row[what]
                 rows.append([f"{row['cuff']} {what}", *own.values()])
+            if row["half_width_95"] is not None:
+                half = dict.fromkeys(row["after"]) | row["half_width_95"]
+                rows.append([f"{row['cuff']} after ±", *half.values()])
             if row["measured_migration_mm"] is not None:
                 built = dict.fromkeys(row["after"])
                 built["migration_mm"] = row["measured_migration_mm"]
@@ -811,12 +831,18 @@ def largest_force(trial: Trial, cuff: str) -> float:
     return float(np.abs(trial.cuffs[cuff].normal).max())
 
 
-def _half_width(moved: Moved, cuff: str) -> float:
-    """Of the band at the largest force; 0 where there is none."""
+def _half_widths(moved: Moved, cuff: str, shown: float) -> np.ndarray:
+    """Of bands at each largest component; and the normal force's mean one.
+
+    0 (4,) where there are none; `shown` as of Wearer.
+    """
     if moved.bands is None or cuff not in moved.trial.cuffs:
-        return 0.0
-    at = int(np.argmax(np.abs(moved.trial.cuffs[cuff].normal)))
-    return float(moved.bands.normal(cuff)[at])
+        return np.zeros(4)
+    trial, widths = moved.trial, moved.bands.cuffs[cuff].copy()
+    widths[:, NORMAL] = max(shown, 1.0) * moved.bands.normal(cuff)
+    at = np.abs(trial.cuffs[cuff].components).argmax(axis=0)
+    mean = np.trapezoid(widths[:, NORMAL], trial.times) / trial.duration
+    return np.append(widths[at, range(3)], mean)
 
 
 def _mean(values: Sequence[float]) -> float | None:

@@ -208,10 +208,54 @@ def test_bands_are_at_the_largest_force(made):
     for known, width in (({"thigh": mats}, 4.0), ({}, 2.0)):
         bands = bands_of({"thigh": cuffs}, known)
         moved = Moved(trial, bands, trial)
-        assert designed._half_width(moved, "thigh") == width
+        step = 0.5 * (trial.times[at + 1] - trial.times[at - 1])
+        for shown, factor in ((0.5, 1.0), (1.5, 1.5)):
+            found = designed._half_widths(moved, "thigh", shown)
+            mean = width * step / trial.duration
+            np.testing.assert_allclose(
+                found[[1, 3]], factor * np.array([width, mean])
+            )
     without = replace(trial, cuffs={})
-    assert designed._half_width(Moved(without, bands, trial), "thigh") == 0.0
-    assert designed._half_width(Moved(trial, None, trial), "thigh") == 0.0
+    for nothing in (Moved(without, bands, trial), Moved(trial, None, trial)):
+        assert not designed._half_widths(nothing, "thigh", 1.5).any()
+
+
+@pytest.mark.slow
+def test_what_is_felt_has_half_widths(made):
+    """Of the trial that bears most; none without bands."""
+    assert {row["half_width_95"] for row in made.felt()} == {None}
+    after = {}
+    for k, (name, (moved,)) in enumerate(made.after.items()):
+        n = len(moved.trial.times)
+        wide = np.full((n, 3), 1.0 + k) * [1.0, 2.0, 3.0]
+        bands = bands_of(dict.fromkeys(CUFFS, wide), {})
+        after[name] = [replace(moved, bands=bands)]
+    known = replace(made, after=after)
+    for row in known.felt():
+        cuff, half = row["cuff"], row["half_width_95"]
+        peaks = np.array(
+            [
+                np.abs(t.cuffs[cuff].components).max(axis=0)
+                for t in trials(known, "after").values()
+            ]
+        )
+        shown = np.array([DIFFER[n].get(cuff, 1.0) for n in after])
+        peaks[:, 1] *= shown
+        wide = np.outer([1.0, 2.0], [1.0, 2.0, 3.0])
+        wide[:, 1] *= np.maximum(shown, 1.0)
+        along, across, moment = wide[peaks.argmax(axis=0), range(3)]
+        area = AREA_M2 * (1.6 if cuff == "thigh" else 1.0)
+        assert half == pytest.approx(
+            {
+                "peak_n": across,
+                "mean_n": wide[:, 1].mean(),
+                "shear_n": along,
+                "moment_nm": moment,
+                "pressure_kpa": 1e-3 * across / area,
+            }
+        )
+    assert "thigh after ±" in known.table()
+    assert "after ±" not in made.table()
 
 
 def test_support_is_the_work_of_the_device(made):

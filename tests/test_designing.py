@@ -36,6 +36,7 @@ from drake_exo.designing import front, on_design
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.output import Check, Verdict
+from drake_exo.measurement.trial import CuffForce
 from drake_exo.model.plant import nominal_model
 from drake_exo.report.figures import forces_figure
 
@@ -468,10 +469,11 @@ def test_a_forecast_is_of_what_each_wearer_s_mats_would_show():
     """Means over trials; a band grows with the factor and never shrinks."""
 
     def trial(peak):
-        force = SimpleNamespace(normal=np.array([1.0, -peak, 2.0]))
-        return SimpleNamespace(cuffs={"thigh": force})
+        force = CuffForce.of(np.outer([1.0, -peak, 2.0], [0.0, 1.0, 0.0]))
+        times = np.array([0.0, 0.5, 1.0])
+        return SimpleNamespace(cuffs={"thigh": force}, times=times, duration=1)
 
-    band = np.array([[0, 1, 0], [0, 4, 0], [0, 1, 0]])
+    band = np.outer([1.0, 4.0, 1.0], [0.0, 1.0, 0.0])
     bands = worn.bands_of({"thigh": band}, {})
 
     def moved(*peaks):
