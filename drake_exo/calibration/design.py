@@ -90,6 +90,7 @@ _BEYOND = 5.0
 # those of a device that swings to please them.
 _LIGHT = 0.1
 _POWER_UNIT_W = 10.0
+_RATE = "rate of normal force"
 # Places of a cuff that every design has, see BushingKinematics.
 _NUM_PLACES = 2 + len(PRELOADS)
 
@@ -125,13 +126,11 @@ class _Wearing(PhaseProblem):
         # Of each trial, how far its device's joints go to each node [rad].
         self._ways: list[np.ndarray] = []
         self._total = None
-        self._slid: dict[tuple[str, str], np.ndarray] = {}
-        self._beyond: dict[str, np.ndarray] = {}
-        self._pressed: dict[tuple[str, str], np.ndarray] = {}
-        self._rising: dict[tuple[str, str], np.ndarray] = {}
-        self._sizes: dict[tuple[str, str], np.ndarray] = {}
+        # (what is limited, of which cuff or joint, in which movement) ->
+        # variables that stand for it.
+        self._limited: dict[tuple[str, str, str], np.ndarray] = {}
         self._means: dict[str, np.ndarray] = {}
-        self._powers: dict[str, np.ndarray] = {}
+        self._beyond: dict[str, np.ndarray] = {}
         super().__init__(
             wearer.model,
             [replace(t, name=f"{wearer.name} {t.name}") for t in wearer.trials],
@@ -346,33 +345,56 @@ class _Wearing(PhaseProblem):
                 ).ravel()
                 movement.bound(force[:, bounded].ravel(), -edge, edge)
             if limits.migration_mm is not None:
-                self._limit_migration(movement, cuff, times)
+                self._limit_migration(movement, cuff)
             if limits.pressure_kpa is not None:
-                self._limit_pressure(movement, cuff, times)
+                self._limit_pressure(movement, cuff)
             if limits.rate_n_s is not None:
-                self._limit_rate(movement, cuff, times)
+                self._limit_rate(movement, cuff)
         if limits.effort_factor is not None:
             own = movement.torque[:, ~movement.coordinates.is_device_joint]
             most = limits.effort_factor * self._today.largest_moments
             edge = np.broadcast_to(most, own.shape).ravel()
             movement.bound(own.ravel(), -edge, edge)
 
-    def _limit_migration(self, movement, cuff: str, times) -> None:
+    def _new(
+        self, movement, of: str, what: str, unit, size: float, most: float
+    ) -> np.ndarray:
+        """Variables that stand for what is limited, at the nodes.
+
+        A rate is from each node to the next.
+
+        Args:
+            movement: in which.
+            of: cuff or joint.
+            what: is limited.
+            unit: for reports, and factor that leads to it.
+            size: typical one.
+            most: limit on it, either way.
+        """
+        times = [f"at {t:.3g} s" for t in movement.grid.times]
+        if what == _RATE:
+            times.pop()
+        n = len(times)
+        found = movement.new(f"{of} {what}", [size], n)
+        name = f"{movement.name} {of} {what}"
+        self.program.label("limit", found, [name], times, [unit])
+        movement.bound(found.ravel(), np.full(n, -most), np.full(n, most))
+        self._limited[what, of, movement.name] = found
+        return found
+
+    def _limit_migration(self, movement, cuff: str) -> None:
         prog, grid = self.program.prog, movement.grid
-        n, name = len(times), f"{movement.name} {cuff} migration"
-        slid = movement.new(f"{cuff} migration", [0.01])
-        self.program.label(
-            "limit",
-            slid,
-            [name],
-            times,
-            [("mm", 1e3 * self.wearer.slides(cuff))],
-        )
-        self._slid[cuff, movement.name] = slid
         today = self._today.largest_deflections[cuff][TANGENTIAL]
         wanted = self._most_migration(cuff)
-        most = np.full(n, max(wanted, today))
-        movement.bound(slid.ravel(), -most, most)
+        slid = self._new(
+            movement,
+            cuff,
+            "migration",
+            ("mm", 1e3 * self.wearer.slides(cuff)),
+            0.01,
+            max(wanted, today),
+        )
+        n, name = len(slid), f"{movement.name} {cuff} migration"
         if today > wanted:
             beyond = self._migration_beyond(cuff, today - wanted)
             rows = np.hstack([np.eye(n), -np.ones((n, 1))])
@@ -419,44 +441,36 @@ class _Wearing(PhaseProblem):
         limit = 1e-3 * self._posed.settings.limits.migration_mm
         return limit / self.wearer.slides(cuff)
 
-    def _limit_pressure(self, movement, cuff: str, times) -> None:
-        n, name = len(times), f"{movement.name} {cuff} pressure"
-        pressed = movement.new(f"{cuff} pressure", [1.0])
+    def _limit_pressure(self, movement, cuff: str) -> None:
         differ = self.wearer.shown(cuff)
-        self.program.label("limit", pressed, [name], times, [("kPa", differ)])
-        self._pressed[cuff, movement.name] = pressed
         settings = self._posed.settings
-        most = np.full(n, settings.limits.pressure_kpa / differ)
+        most = settings.limits.pressure_kpa / differ
         area_m2 = settings.freedom(cuff).area_m2
         if self.wearer.is_drawn:
             today = self._today.largest_forces[cuff][NORMAL]
-            most = np.maximum(most, 1e-3 * today / area_m2)
-        movement.bound(pressed.ravel(), -most, most)
+            most = max(most, 1e-3 * today / area_m2)
+        pressed = self._new(
+            movement, cuff, "pressure", ("kPa", differ), 1.0, most
+        )
         area = movement.at_nodes(self._of_cuff(cuff, ["area"]))
         self.program.add_constraints(
-            name,
+            f"{movement.name} {cuff} pressure",
             ProductKernel(1e3 * area_m2, INTERACTION_FORCE_UNIT),
             np.hstack([movement.cuffs[cuff][:, [NORMAL]], area, pressed]),
         )
 
-    def _limit_rate(self, movement, cuff: str, times) -> None:
-        """Of the normal force, from each node to the next."""
-        steps = np.diff(movement.grid.times)
-        n, name = len(steps), f"{movement.name} {cuff} rate of normal force"
-        rate = movement.new(f"{cuff} rate", [100.0], n)
-        differ = self.wearer.shown(cuff)
-        self.program.label("limit", rate, [name], times[:-1], [("N/s", differ)])
-        self._rising[cuff, movement.name] = rate
+    def _limit_rate(self, movement, cuff: str) -> None:
+        differ, steps = self.wearer.shown(cuff), np.diff(movement.grid.times)
         most = self._posed.settings.limits.rate_n_s / differ
         if self.wearer.is_drawn:
             most = max(most, self._today.largest_rates[cuff])
-        movement.bound(rate.ravel(), np.full(n, -most), np.full(n, most))
-        rise = np.diff(np.eye(n + 1), axis=0)
+        rate = self._new(movement, cuff, _RATE, ("N/s", differ), 100.0, most)
+        rise = np.diff(np.eye(len(steps) + 1), axis=0)
         self.program.prog.AddLinearEqualityConstraint(
             np.hstack([rise, -np.diag(steps)]),
-            np.zeros(n),
+            np.zeros(len(steps)),
             np.concatenate([movement.cuffs[cuff][:, NORMAL], rate.ravel()]),
-        ).evaluator().set_description(name)
+        ).evaluator().set_description(f"{movement.name} {cuff} {_RATE}")
 
     def _limit_mean(self) -> None:
         """Of the size of each cuff's normal force, over time and trials."""
@@ -483,7 +497,7 @@ class _Wearing(PhaseProblem):
                     np.full(2 * n, np.inf),
                     np.concatenate([size, force]),
                 ).evaluator().set_description(f"{movement.name} {cuff} size")
-                self._sizes[cuff, movement.name] = size
+                self._limited["size", cuff, movement.name] = size
                 sizes.append(size)
             prog.AddLinearEqualityConstraint(
                 np.r_[self._shares(), -1.0][None],
@@ -504,15 +518,14 @@ class _Wearing(PhaseProblem):
         """What each drive can do; a joint's friction is not the drive's."""
         if self._today is None:
             return
-        names, grid = movement.coordinates, movement.grid
-        times = [f"at {t:.3g} s" for t in grid.times]
+        names = movement.coordinates
         drive = self.wearer.drive(at)
         passive = self._given(at) - drive
         for joint, limits in self._posed.settings.limits.drives.items():
             column = names.device.index(joint)
             own = passive[:, column]
             torque = movement.torque[:, names.joint(joint)]
-            rate = grid.v[:, names.index(joint)]
+            rate = movement.grid.v[:, names.index(joint)]
             if limits.torque_nm is not None:
                 self._check_drive(joint, np.abs(drive[:, column]).max())
                 most = limits.torque_nm
@@ -522,14 +535,11 @@ class _Wearing(PhaseProblem):
                 movement.bound(rate, -most, most)
             if limits.power_w is None:
                 continue
-            name = f"{movement.name} {joint} power"
-            power = movement.new(f"{joint} power", [10.0])
-            self.program.label("limit", power, [name], times, [("W", 1.0)])
-            self._powers[joint, movement.name] = power
-            most = np.full(len(power), limits.power_w)
-            movement.bound(power.ravel(), -most, most)
+            power = self._new(
+                movement, joint, "power", ("W", 1.0), 10.0, limits.power_w
+            )
             self.program.add_constraints(
-                name,
+                f"{movement.name} {joint} power",
                 ProductKernel(1.0, _POWER_UNIT_W),
                 np.column_stack([power, torque, rate]),
                 data=own[:, None],
@@ -623,7 +633,9 @@ class _Wearing(PhaseProblem):
         for movement, trial in zip(self.movements, trials, strict=True):
             self._fill_trial(x, movement, trial, contact, design)
         for cuff, mean in self._means.items():
-            sizes = [self._sizes[cuff, m.name] for m in self.movements]
+            sizes = [
+                self._limited["size", cuff, m.name] for m in self.movements
+            ]
             sizes = x[self.program.indices(np.concatenate(sizes))]
             x[self.program.indices(mean)] = self._shares() @ sizes
         if self._total is not None:
@@ -642,35 +654,28 @@ class _Wearing(PhaseProblem):
         self, x, movement, trial: Trial, contact, design: Design
     ) -> None:
         at, indices = trial.sample(movement.grid.times), self.program.indices
-        cuffs = {}
+        cuffs, limited = {}, {}
         for cuff in self.bushings:
             deflection, force, _ = self._cuff_at(x, cuff, at.q, contact)
             cuffs[cuff] = force
-            slid = self._slid.get((cuff, movement.name))
-            if slid is not None:
-                x[indices(slid)] = deflection[:, [TANGENTIAL]]
-                self._fill_beyond(x, cuff, np.abs(deflection[:, TANGENTIAL]))
-            pressed = self._pressed.get((cuff, movement.name))
-            if pressed is not None:
-                share = design.cuffs.get(cuff, CuffDesign()).area
-                area = self._posed.settings.freedom(cuff).area_m2
-                x[indices(pressed)] = 1e-3 * force[:, [NORMAL]] / (share * area)
-            rising = self._rising.get((cuff, movement.name))
-            if rising is not None:
-                rise = np.diff(force[:, NORMAL]) / np.diff(at.times)
-                x[indices(rising)] = rise[:, None]
-            size = self._sizes.get((cuff, movement.name))
-            if size is not None:
-                x[indices(size)] = np.abs(force[:, NORMAL])
+            slid, pressing = deflection[:, TANGENTIAL], force[:, NORMAL]
+            self._fill_beyond(x, cuff, np.abs(slid))
+            area = self._posed.settings.freedom(cuff).area_m2
+            area *= design.cuffs.get(cuff, CuffDesign()).area
+            limited["migration", cuff] = slid
+            limited["pressure", cuff] = 1e-3 * pressing / area
+            limited[_RATE, cuff] = np.diff(pressing) / np.diff(at.times)
+            limited["size", cuff] = np.abs(pressing)
         given = assisted(at, design, friction=self.wearer.friction(at)).moments
-        passive = self._given(at) - self.wearer.drive(at)
-        names = movement.coordinates
-        for joint in self._posed.settings.limits.drives:
-            power = self._powers.get((joint, movement.name))
-            if power is not None:
-                torque = given[:, names.joint(joint)]
-                torque = torque - passive[:, names.device.index(joint)]
-                x[indices(power)[:, 0]] = torque * at.v[:, names.index(joint)]
+        device = given[:, movement.coordinates.is_device_joint]
+        power = device - (self._given(at) - self.wearer.drive(at))
+        power *= at.v[:, movement.coordinates.device_columns]
+        for i, joint in enumerate(movement.coordinates.device):
+            limited["power", joint] = power[:, i]
+        for (what, of), values in limited.items():
+            variables = self._limited.get((what, of, movement.name))
+            if variables is not None:
+                x[indices(variables).ravel()] = values
         self._fill(
             x,
             movement,

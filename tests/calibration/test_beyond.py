@@ -54,7 +54,7 @@ def test_migration_beyond_its_limit_costs_more_than_forces_do(wearer):
         name = f"{movement.name} {cuff} migration beyond its limit"
         x = np.zeros(problem.program.prog.num_vars())
         x[indices(beyond)] = 0.3 * over
-        at = indices(part._slid[cuff, movement.name]).ravel()
+        at = indices(part._limited["migration", cuff, movement.name]).ravel()
         kept = []
         for far, holds in (
             (0.29, True),

@@ -326,11 +326,15 @@ def test_limits_are_on_what_is_felt(wearer, today):
         np.testing.assert_allclose(upper, np.tile(most, (len(force), 1)))
         np.testing.assert_allclose(lower, -upper)
         far = max(4e-3, slid[cuff][0])
-        lower, upper = bounds(problem, part._slid[cuff, movement.name])
+        lower, upper = bounds(
+            problem, part._limited["migration", cuff, movement.name]
+        )
         np.testing.assert_allclose(
             (lower, upper), (0 * upper - far, 0 * upper + far)
         )
-        lower, upper = bounds(problem, part._pressed[cuff, movement.name])
+        lower, upper = bounds(
+            problem, part._limited["pressure", cuff, movement.name]
+        )
         np.testing.assert_allclose(upper, 6.0 / factor)
         np.testing.assert_allclose(lower, -6.0 / factor)
     names = wearer.model.coordinates
@@ -356,7 +360,9 @@ def test_one_who_is_drawn_need_not_feel_less_than_today(wearer, today):
         np.testing.assert_allclose(
             upper[:, 1:], np.tile(most[1:], (len(upper), 1))
         )
-        _, upper = bounds(problem, part._pressed[cuff, movement.name])
+        _, upper = bounds(
+            problem, part._limited["pressure", cuff, movement.name]
+        )
         # N on 100 cm^2 to kPa.
         np.testing.assert_allclose(upper, 0.1 * most[1])
 
@@ -372,9 +378,13 @@ def test_pressure_and_migration_are_filled_in(wearer, today):
     (movement,) = part.movements
     for cuff, share in (("thigh", 1.6), ("shank", 1.0)):
         f = values_of(problem, x, movement.cuffs[cuff])
-        p = values_of(problem, x, part._pressed[cuff, movement.name])
+        p = values_of(
+            problem, x, part._limited["pressure", cuff, movement.name]
+        )
         np.testing.assert_allclose(p[:, 0], 1e-3 * f[:, 1] / (0.02 * share))
-        d = values_of(problem, x, part._slid[cuff, movement.name])
+        d = values_of(
+            problem, x, part._limited["migration", cuff, movement.name]
+        )
         k = share * wearer.contact.bushings[cuff].tangential_stiffness
         np.testing.assert_allclose(d[:, 0], f[:, 0] / k, atol=1e-12)
 
@@ -416,7 +426,9 @@ def test_mean_and_rate_of_a_cuff_s_force_have_limits(wearer, today):
                 at = trial.sample(movement.grid.times)
                 force = at.cuffs[cuff].normal
                 rates.append(np.diff(force) / np.diff(at.times))
-                rate = part._rising[cuff, movement.name]
+                rate = part._limited[
+                    "rate of normal force", cuff, movement.name
+                ]
                 found = values_of(problem, x, rate)[:, 0]
                 np.testing.assert_allclose(found, rates[-1], atol=1e-9)
                 w = movement.grid.quadrature
@@ -456,7 +468,7 @@ def test_a_drive_has_limits_and_friction_is_not_the_drive_s(wearer, today):
     rate = movement.grid.v[:, names.index("exo_knee")]
     _, upper = bounds(problem, rate)
     np.testing.assert_allclose(upper, np.deg2rad(300.0))
-    power = part._powers["exo_knee", movement.name]
+    power = part._limited["power", "exo_knee", movement.name]
     lower, upper = bounds(problem, power)
     np.testing.assert_allclose((lower, upper), (0 * upper - 60, 0 * upper + 60))
     x = problem.guess()
