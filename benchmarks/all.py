@@ -29,7 +29,10 @@ QUICK = {
     "interval_coverage.py": ("--seeds", "4", "--nodes-per-second", "25"),
     "seeds.py": ("--seeds", "1", "--truth", "near"),
     "weights.py": ("--factors", "4"),
-    "plausibility.py": ("--seeds", "1", "--truth", "near", "--mistakes"),
+    "plausibility.py": (
+        *("--seeds", "1", "--truth", "near"),
+        *("--mistakes", "cop_unit", "floor", "encoder_sign"),
+    ),
     "scale.py": ("--tasks", "5", "--workers", "1", "16"),
     "sole.py": ("--nodes", "100"),
     "sole_starts.py": ("--times", "1", "--coarse", "--iterations", "2"),

@@ -106,7 +106,7 @@ class Plant:
         self.alone()
         file = recording.read_c3d(self.campaign / self.trial["forces"])
         names, columns = [], []
-        for plate in file.plates:
+        for plate in file.plates.values():
             p = change(file.plate_time, plate)
             for kind, values in (
                 ("force_{}_v", p.force),
