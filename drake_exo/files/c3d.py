@@ -38,6 +38,7 @@ from drake_exo.files.tables import (
     MarkerData,
     PlateRecording,
     Table,
+    kept,
     plate_axes,
     read_bytes,
 )
@@ -143,6 +144,7 @@ class C3dContents:
         return found
 
 
+@kept(2)
 def decode(path: Path) -> C3dContents:
     """Decode a file.
 
@@ -162,6 +164,8 @@ def decode(path: Path) -> C3dContents:
         raise _damaged(path, what or "its parts contradict each other")
     with np.load(io.BytesIO(done.stdout), allow_pickle=False) as found:
         arrays = {name: found[name] for name in found.files}
+    for array in arrays.values():
+        array.flags.writeable = False
     if is_long and len(arrays["points"]) <= _LONG:
         raise InputError(
             f"{path}: holds more than {_LONG} frames, and the others cannot be "

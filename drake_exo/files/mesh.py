@@ -13,7 +13,7 @@ import numpy as np
 from manifold3d import triangulate
 
 from drake_exo.errors import InputError, reason
-from drake_exo.files.tables import read_bytes
+from drake_exo.files.tables import kept, read_bytes
 
 _STL = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")]
 _VERTEX = re.compile(r"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
@@ -84,6 +84,7 @@ def _read_stl(path: Path) -> meshio.Mesh:
 _READERS = {".obj": _read_obj, ".stl": _read_stl, ".ply": meshio.ply.read}
 
 
+@kept(8)
 def read_cells(
     path: Path,
     cell_type: str,
@@ -146,7 +147,9 @@ def read_cells(
         )
     if not found.size:
         found = found[:0]
-    return nodes, found.astype(np.int64)
+    found = found.astype(np.int64)
+    nodes.flags.writeable = found.flags.writeable = False
+    return nodes, found
 
 
 @contextlib.contextmanager

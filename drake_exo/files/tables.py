@@ -9,15 +9,19 @@ CSV table of signals has one line of names with units, then numbers:
 time [s],exo_ankle [deg],exo_knee [deg],exo_hip [deg]
 """
 
+import functools
+import hashlib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from drake_exo.errors import InputError, nearest, printable
 
+Reader = TypeVar("Reader", bound=Callable)
 # No measurement is larger in any unit; squares and sums stay numbers.
 _LARGEST = 1e30
 _SHOWN = 40  # characters of a cell in a message
@@ -41,6 +45,32 @@ def read_bytes(path: str | Path, remedy: str = "check the path") -> bytes:
         raise InputError(
             f"{path}: cannot be read ({error.strerror}); {remedy}"
         ) from error
+
+
+def kept(count: int) -> Callable[[Reader], Reader]:
+    """Keep what a reader made of its last files while these stay the same.
+
+    A study asks for a file once for each foot, mat or trial. Its bytes are
+    what tells one from another. Whatever is kept is shared: its arrays are
+    not to be written to.
+
+    Args:
+        count: of the files that are kept.
+    """
+
+    def keeping(read: Reader) -> Reader:
+        @functools.lru_cache(count)
+        def known(path: Path, digest: bytes, *args):
+            return read(path, *args)
+
+        @functools.wraps(read)
+        def reader(path, *args):
+            data = read_bytes(path)
+            return known(Path(path), hashlib.sha256(data).digest(), *args)
+
+        return reader
+
+    return keeping
 
 
 def read_text(path: str | Path, remedy: str = "check the path") -> str:

@@ -1,5 +1,6 @@
 """C3D files: decoded at arm's length, and what their plates mean."""
 
+import copy
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -273,7 +274,7 @@ def test_a_plate_that_cannot_be_read_blocks_nothing_else(
 ):
     path = tmp_path / "a.c3d"
     write_c3d(path, markers, [plate] * 2, [design(2)] * 2, 10)
-    found = decode(path)
+    found = copy.deepcopy(decode(path))
     found.parameters["FORCE_PLATFORM"]["CORNERS"][..., 0] = 0.0
     monkeypatch.setattr(c3d_files, "decode", lambda path: found)
     read = read_c3d(path)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from drake_exo.errors import InputError
+from drake_exo.files.mesh import read_cells
 from drake_exo.files.tables import (
     LENGTHS,
     UNITS,
@@ -12,6 +13,7 @@ from drake_exo.files.tables import (
     check_gaps,
     check_increasing,
     frame_rate,
+    kept,
     number_rows,
     plate_axes,
     read_csv_table,
@@ -192,3 +194,43 @@ def test_stamps_may_be_off_by_nearly_half_a_frame(off, fits):
         return
     with pytest.raises(InputError, match=r"around 51\.48 s \(frame 51\)"):
         uniform_time("f", time)
+
+
+def test_a_file_is_read_once_while_it_stays_the_same(tmp_path):
+    """Told by its content: whenever it was written, wherever it is read."""
+    read = []
+
+    @kept(2)
+    def reader(path, *args):
+        text = path.read_text()
+        if text == "bad":
+            raise InputError(f"{path}: is bad")
+        read.append((path.name, *args))
+        return text
+
+    first, second, third = (tmp_path / name for name in "abc")
+    for path in (first, second, third):
+        path.write_text("same")
+    assert [reader(first), reader(str(first))] == ["same", "same"]
+    assert read == [("a",)]
+    first.write_text("else")  # as long, and perhaps as old
+    assert reader(first) == "else"
+    assert reader(first, 1) == "else"
+    assert read == [("a",), ("a",), ("a", 1)]
+    for path in (second, third, second, first):
+        reader(path)
+    assert read[3:] == [("b",), ("c",), ("a",)]
+    for _ in range(2):  # an error is not kept
+        first.write_text("bad")
+        with pytest.raises(InputError, match="a: is bad"):
+            reader(first)
+    with pytest.raises(InputError, match="none: cannot be read"):
+        reader(tmp_path / "none")
+
+
+def test_what_is_kept_cannot_be_written_to(tmp_path):
+    path = tmp_path / "a.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    for array in read_cells(path, "triangle", "export it again"):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
