@@ -107,7 +107,7 @@ def test_reasons_are_short():
     ],
 )
 def test_what_the_laboratory_is_to_leave_out(
-    without, left, monkeypatch, tmp_path
+    without, left, monkeypatch, tmp_path, capsys
 ):
     asked = []
 
@@ -120,6 +120,11 @@ def test_what_the_laboratory_is_to_leave_out(
     out = str(tmp_path / "out")
     assert cli.main(["lab", "--seed", "1", "--out", out, *options]) == 0
     assert asked == [left]
+    told = capsys.readouterr().out
+    assert told.endswith(f"study.yaml with {lab.NUM_USED} trials\n")
+    one = ["lab", "--trials", "1", "--out", f"{out}1"]
+    assert cli.main(one) == 0
+    assert capsys.readouterr().out.endswith("with 1 trial\n")
 
 
 @pytest.mark.parametrize("what", ["--design", "--model"])

@@ -25,6 +25,7 @@ from drake_exo.calibration.problem import (
     shared_noise,
 )
 from drake_exo.collocation.kernels import WRENCH_UNITS
+from drake_exo.collocation.transcription import stands_for
 from drake_exo.collocation.trial_program import (
     LogKernel,
     Tracking,
@@ -422,12 +423,15 @@ def _by_parameters(result: PhaseResult, trial, body: str) -> np.ndarray:
 def contact_sensitivity(result: PhaseResult) -> Identifiability:
     """Sensitivity of ground reaction and CoP at the calibrated motion.
 
-    All parameters of the spheres are looked at, fixed ones included.
+    All parameters of the spheres are looked at, fixed ones included. A node
+    counts as long as it stands for, so that fine parts of a grid do not count
+    more.
     """
     problem, noise = result.problem, result.problem.settings.noise
     scale = np.array([p.span / 4.0 for p in result.parameters])
-    blocks = []
+    blocks, lengths = [], []
     for trial in result.trials:
+        stands = stands_for(np.diff(trial.times))
         for side, wrench in trial.soles.items():
             J = sum(
                 _by_parameters(result, trial, body)
@@ -444,8 +448,13 @@ def contact_sensitivity(result: PhaseResult) -> Identifiability:
                 ],
                 axis=1,
             )
-            blocks.append((scaled * scale).reshape(-1, len(scale)))
-    return analyse([p.name for p in result.parameters], np.vstack(blocks))
+            blocks.append(scaled * scale)
+            lengths.append(stands[wrench.is_loaded])
+    stands = np.concatenate(lengths)
+    counts = np.sqrt(stands / stands.mean())[:, None, None]
+    sensitivity = counts * np.concatenate(blocks)
+    names = [p.name for p in result.parameters]
+    return analyse(names, sensitivity.reshape(-1, len(names)))
 
 
 def analyse(names: list[str], sensitivity: np.ndarray) -> Identifiability:
@@ -562,7 +571,7 @@ class Bands:
         return self.mats.get(cuff, self.cuffs[cuff][:, NORMAL])
 
     def coverage(self, found: Trial, measured: Trial) -> dict:
-        """Share of measured samples within the bands around a prediction.
+        """Share of time that the measured is within a prediction's bands.
 
         Args:
             found: that the bands are of.
@@ -571,12 +580,16 @@ class Bands:
         Returns:
             trial; angles_deg and velocities_deg_s by joint that was measured,
             interaction_n (normal force) by cuff that has mats; and
-            half_width_n, the mean half width of each such band.
+            half_width_n, the mean half width of each such band over time.
         """
         at, names = measured.sample(found.times), found.coordinates
+        lengths = stands_for(np.diff(found.times))
+
+        def mean(x) -> float:
+            return float(np.average(x, weights=lengths))
 
         def share(shown, predicted, width) -> float:
-            return float(np.mean(np.abs(shown - predicted) <= width))
+            return mean(np.abs(shown - predicted) <= width)
 
         q, v = found.q + self.off_q, found.v + self.off_v
 
@@ -601,7 +614,7 @@ class Bands:
                 )
                 for c in cuffs
             },
-            "half_width_n": {c: float(self.mats[c].mean()) for c in cuffs},
+            "half_width_n": {c: mean(self.mats[c]) for c in cuffs},
         }
 
 

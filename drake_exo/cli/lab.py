@@ -123,8 +123,13 @@ def run(args: argparse.Namespace) -> int:
             design=design,
         )
         name = study.name
-    print(f"wrote {args.out}/{name} with {trials} trials")
+    _told(args, name, trials)
     return 0
+
+
+def _told(args: argparse.Namespace, name: str, trials: int) -> None:
+    several = "s" * (trials != 1)
+    print(f"wrote {args.out}/{name} with {trials} trial{several}")
 
 
 def _described(args: argparse.Namespace, active: list[str]) -> int:
@@ -149,5 +154,5 @@ def _described(args: argparse.Namespace, active: list[str]) -> int:
             files=args.files,
         )
         name = study.name
-    print(f"wrote {args.out}/{name} with {trials} trials")
+    _told(args, name, trials)
     return 0

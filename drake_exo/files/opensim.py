@@ -221,7 +221,7 @@ def write_table(
         "endheader",
         "\t".join(("time", *table.names)),
     ]
-    rows = np.column_stack([table.time, table.values])
+    rows = np.column_stack([table.time, table.values]) + 0.0  # no -0
     body = ["\t".join(f"{x:.{digits}g}" for x in row) for row in rows]
     path.write_text("\n".join([*head, *body]) + "\n", encoding="utf-8")
 
@@ -243,7 +243,7 @@ def write_trc(path: str | Path, markers: MarkerData) -> None:
     ]
     body = []
     for i in range(n):
-        p = markers.positions[i].ravel()
+        p = markers.positions[i].ravel() + 0.0
         cells = ("" if np.isnan(x) else f"{x:.9g}" for x in p)
         body.append("\t".join((f"{i + 1}", f"{markers.time[i]:.10g}", *cells)))
     path.write_text("\n".join([*head, *body]) + "\n", encoding="utf-8")

@@ -305,7 +305,7 @@ def write_csv(path: Path, columns: dict[str, Sequence]) -> None:
 
     def shown(value):
         is_number = not isinstance(value, str | bool | int)
-        return f"{float(value):.10g}" if is_number else value
+        return f"{float(value) + 0.0:.10g}" if is_number else value
 
     with open(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -433,7 +433,7 @@ def _jsonable(value: Any) -> Any:
     if isinstance(value, np.generic):
         return _jsonable(value.item())
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return value + 0.0 if math.isfinite(value) else None  # no -0.0
     return value
 
 

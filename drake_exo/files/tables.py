@@ -543,7 +543,7 @@ def write_csv_table(path: str | Path, table: Table, units: list[str]) -> None:
     """Write a table in the given units (of `UNITS`), time in seconds."""
     factors = np.array([UNITS[u.lower()] for u in units])
     cells = [f"{n} [{u}]" for n, u in zip(table.names, units, strict=True)]
-    rows = np.column_stack([table.time, table.values / factors])
+    rows = np.column_stack([table.time, table.values / factors]) + 0.0
     body = [",".join(f"{x:.10g}" for x in row) for row in rows]
     text = "\n".join([",".join(["time [s]", *cells]), *body])
     Path(path).write_text(text + "\n", encoding="utf-8")

@@ -277,7 +277,7 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
             for end, link in (("parent", a), ("child", b)):
                 element.find(end).text = link
             if kind in _AXIS:
-                xyz = _child(_child(element, "axis"), "xyz")
+                xyz = _filled(_filled(element, "axis"), "xyz")
                 xyz.attrib.clear()
                 xyz.text = _numbers(getattr(joint, _AXIS[kind])())
         else:
@@ -285,7 +285,7 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
             if kind in _AXIS:
                 R_PL = X_LP[b].rotation().inverse()
                 along = R_PL @ getattr(joint, _AXIS[kind])()
-                _child(element, "axis").set("xyz", _numbers(along))
+                _filled(element, "axis").set("xyz", _numbers(along))
     for frame in owner.findall("frame"):
         owner.remove(frame)
     for key in ("canonical_link", "placement_frame"):
@@ -308,7 +308,7 @@ def _numbers(values) -> str:
     return " ".join(repr(float(x) + 0.0) for x in values)
 
 
-def _child(owner: ET.Element, tag: str) -> ET.Element:
+def _filled(owner: ET.Element, tag: str) -> ET.Element:
     """An element in another; one that says nothing is made."""
     found = owner.find(tag)
     return ET.SubElement(owner, tag) if found is None else found

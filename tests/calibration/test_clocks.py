@@ -118,9 +118,17 @@ def test_a_trial_goes_on_the_clock_that_was_found(in_device):
     assert off > 3.0  # before
     assert found.provenance["delays_s"]["encoders"] == 0.04
     assert found.provenance["delays_s"]["pressure"] == 0.0
+    said = found.provenance["clocks"]
+    assert said["encoders"] == "+40 ± 8 ms"
+    assert said["pressure"] == "left to the calibration, unsure"
     assert retimed(shown, []) is shown
     mats = [Clock(trial.name, "pressure", 0.04, 0.004)]
     assert retimed(shown, mats) is shown
+    vague = [Clock(trial.name, "encoders", 0.04, 0.01), *mats]
+    assert retimed(shown, vague).provenance["clocks"] == {
+        "encoders": "+40 ± 20 ms, unsure",
+        "pressure": "+40 ± 8 ms",
+    }
     # Of a trial made in Python nothing was taken out.
     bare = replace(shown, provenance={})
     own = [Clock(trial.name, "encoders", 0.03, 0.004)]

@@ -92,6 +92,27 @@ def test_sensitivity_is_that_of_the_forces(result):
         assert found.influence[i] == pytest.approx(influence), p.name
 
 
+def test_sensitivity_counts_time_not_nodes(result):
+    """The same movement on twice as fine a grid in one half."""
+    before = contact_sensitivity(result)
+    (trial,) = result.trials
+    t = trial.times
+    at = t > t[-1] - 0.4
+    finer = np.sort(np.r_[t, 0.5 * (t[:-1] + t[1:])[at[:-1]]])
+    fine = SimpleNamespace(
+        problem=result.problem,
+        parameters=result.parameters,
+        contact=result.contact,
+        trials=[trial.sample(finer)],
+    )
+    after = contact_sensitivity(fine)
+    np.testing.assert_allclose(after.influence, before.influence, rtol=5e-3)
+    spread, expected = (
+        x.singular_values / x.singular_values[0] for x in (after, before)
+    )
+    np.testing.assert_allclose(spread, expected, rtol=0.02)
+
+
 def test_other_radii_give_the_same_forces(result):
     rows = list(radius_profile(result))
     assert [r["radius_factor"] for r in rows] == [0.75, 1.0, 1.25]

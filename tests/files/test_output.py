@@ -1,6 +1,7 @@
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import pytest
 
 from drake_exo.errors import InputError
 from drake_exo.files import output
+from drake_exo.files.opensim import write_table, write_trc
 from drake_exo.files.output import (
     LOCK,
     MANIFEST,
@@ -18,8 +20,10 @@ from drake_exo.files.output import (
     checksum,
     prepare_output_folder,
     read_arrays,
+    write_csv,
     write_json,
 )
+from drake_exo.files.tables import MarkerData, Table, write_csv_table
 
 
 def test_fresh_folder_is_written_in_place(tmp_path):
@@ -115,6 +119,22 @@ def test_json_is_plain_and_stable(tmp_path):
         "d": ["y", "z"],
     }
     assert [p.name for p in tmp_path.iterdir()] == ["s.json"]
+
+
+def test_nothing_is_written_as_minus_zero(tmp_path):
+    names, nothing = ("a", "b"), np.array([[-0.0, 0.0], [0.0, -0.0]])
+    table = Table(np.array([-0.0, 0.5]), names, nothing, in_degrees=False)
+    write_json(tmp_path / "a.json", {"lag": -0.0, "more": [nothing]})
+    write_csv(tmp_path / "b.csv", {"x": [-0.0], "word": ["-0"]})
+    write_csv_table(tmp_path / "c.csv", table, ["n", "deg"])
+    write_table(tmp_path / "d.sto", table)
+    points = nothing[:, :, None] * np.ones(3)
+    markers = MarkerData(np.array([0.0, 0.5]), names, points, 2.0)
+    write_trc(tmp_path / "e.trc", markers)
+    for path in tmp_path.iterdir():
+        cells = re.split(r"[\s,:]+", path.read_text())
+        assert ("-0" in cells) == (path.name == "b.csv"), path.name
+        assert "-0.0" not in cells, path.name
 
 
 def test_progress_prints_at_most_one_line_per_interval():
