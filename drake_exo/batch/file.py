@@ -148,12 +148,24 @@ class BatchFile:
             if step not in self.steps:
                 raise InputError(f"options: {step!r} is none of the steps")
             for option in options:
-                if option.partition("=")[0] in _OURS:
+                word = option.partition("=")[0]
+                # argparse takes the beginning of an option's name for it.
+                ours = [o for o in _OURS if o.startswith(word) and word[2:]]
+                if ours:
                     raise InputError(
                         f"options of {step!r}: the batch itself gives "
-                        f"{option}; leave it out"
+                        f"{ours[0]}; leave {option} out"
                     )
-        self.variants()
+        for key in (key for changes in self.variants() for key in changes):
+            if not (self.cases if is_sole(key) else subjects):
+                file, none = (
+                    ("case", "cases") if is_sole(key)
+                    else ("study", "studies or laboratories")
+                )  # fmt: skip
+                raise InputError(
+                    f"sweep: {key!r} is a key of a {file} file, and there are "
+                    f"no {none}; leave it out"
+                )
 
     def variants(self) -> list[dict[str, Any]]:
         """Changes to make, one dictionary a variant; one empty without sweep.
@@ -293,8 +305,12 @@ def changed_text(
     for key, value in changes.items():
         place, (*parts, last) = tree, key.split(".")
         for part in parts:
-            place = _step(path, key, place, part)
-        _step(path, key, place, last)
+            below = _step(path, key, place, part)
+            if below is None:  # a group that the file leaves out
+                below = place[_index(place, part)] = {}
+            place = below
+        if place != {}:
+            _step(path, key, place, last)
         place[_index(place, last)] = value
     # A recording's study is looked for beside its case, whatever the root.
     keys = ("recording",) if root else ("recording", "file", "heights")
@@ -359,10 +375,9 @@ def check_key(cls: type, key: str) -> None:
         found: list[Any] = []
         for hint in hints:
             if dataclasses.is_dataclass(hint):
-                own = typing.get_type_hints(hint)
-                names = [f.name for f in dataclasses.fields(hint) if f.init]
-                known |= set(names)
-                found += [own[part]] if part in names else []
+                own = schema.keys(hint)
+                known |= set(own)
+                found += [own[part]] if part in own else []
             elif typing.get_origin(hint) is dict or hint in (dict, Any):
                 found.append((*typing.get_args(hint), Any)[-1])
             elif part.isdecimal():

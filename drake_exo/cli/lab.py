@@ -48,8 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--truth",
         choices=KINDS,
-        default=KINDS[0],
-        help="how far truth may lie from what a calibration begins with",
+        help="how far truth may lie from what a calibration begins with "
+        f"(default: {KINDS[0]})",
     )
     parser.add_argument(
         "--without",
@@ -106,6 +106,8 @@ def run(args: argparse.Namespace) -> int:
             "--movement and --left-share are of a person of two legs; give "
             "--model FILE"
         )
+    if args.full and args.trials is not None:
+        raise InputError("--full records all movements; leave out --trials")
     trials = NUM_USED if args.trials is None else args.trials
     design = None if args.design is None else read_design(args.design)
     with prepare_output_folder(
@@ -118,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
             trials,
             full=args.full,
             files=args.files,
-            truth=args.truth,
+            truth=args.truth or KINDS[0],
             processes=max(min(args.jobs, trials), 1),
             design=design,
         )
@@ -134,10 +136,10 @@ def _told(args: argparse.Namespace, name: str, trials: int) -> None:
 
 def _described(args: argparse.Namespace, active: list[str]) -> int:
     """Write trials of a person and a device from a file."""
-    if args.full or args.design is not None:
+    if args.full or args.design is not None or args.truth is not None:
         raise InputError(
-            "--full and --design are of the shipped exoskeleton; leave them "
-            "out, or --model"
+            "--full, --truth and --design are of the shipped exoskeleton; "
+            "leave them out, or --model"
         )
     trials = 3 if args.trials is None else args.trials
     with prepare_output_folder(

@@ -60,7 +60,15 @@ def add_arguments(sole: ArgumentParser) -> None:
     front = "also the front of c_tr against c_rot, coarse"
     parser.add_argument("--front", action="store_true", help=front)
     _add_jobs(parser, "stages of starts at a time")
-    _add_files(parser)
+    parser.add_argument(
+        "--mesh", type=Path, help="mesh file used instead of the brick"
+    )
+    parser.add_argument(
+        "--data-root",
+        type=Path,
+        help=f"folder that holds the authors' step, {paper.AUTHORS_STEP} "
+        "(default: our own walking pattern)",
+    )
     add_out(parser, required=True, help="folder for the results")
     parser = job("front", _front, "front of c_tr against c_rot")
     _add_case(parser)
@@ -135,8 +143,7 @@ def _add_iterations(parser) -> None:
         "--iterations",
         type=count,
         metavar="N",
-        help="at most so many in the last stage (default: the case's; an "
-        "optimum takes some 190 to 540)",
+        help="at most so many in the last stage (default: the case's)",
     )
 
 
@@ -278,6 +285,11 @@ def _front(args) -> int:
 def _strain(args) -> int:
     """Write and print the table; 1 where some sample has no equilibrium."""
     if args.source.is_dir():
+        if args.mesh or args.data_root:
+            raise InputError(
+                "sole strain: --mesh and --data-root are a case file's; leave "
+                f"them out, {args.source} holds mesh and load"
+            )
         setups = [design.setup for design in soles.find_designs(args.source)]
     else:
         setups = [_read_case(args, args.source)]

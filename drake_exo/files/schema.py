@@ -217,8 +217,7 @@ class _Reader:
         return items
 
     def _dataclass(self, node: yaml.Node, cls: type, where: str) -> Any:
-        items = self._mapping(node, where)
-        hints = typing.get_type_hints(cls)
+        items, hints = self._mapping(node, where), keys(cls)
         fields = {_key(f): f for f in dataclasses.fields(cls) if f.init}
         for text, (key, _) in items.items():
             if text not in fields:
@@ -228,7 +227,7 @@ class _Reader:
             if name in items:
                 values[field.name] = self.read(
                     items[name][1],
-                    hints[field.name],
+                    hints[name],
                     f"{where}.{name}" if where else name,
                     field.metadata,
                 )
@@ -399,6 +398,12 @@ def positive(unit: str, default=None) -> Any:
 def not_negative(unit: str, default: float) -> Any:
     """A field of settings of at least 0."""
     return quantity(unit, default, minimum=0.0)
+
+
+def keys(cls: type) -> dict[str, Any]:
+    """Names of a dataclass's fields in a file, each with its type."""
+    hints = typing.get_type_hints(cls)
+    return {_key(f): hints[f.name] for f in dataclasses.fields(cls) if f.init}
 
 
 def exactly_one(block, names) -> None:

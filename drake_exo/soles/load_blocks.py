@@ -159,6 +159,12 @@ class Playback:
         share, zmp = share_double_support(table[:, 1:3], phase, mine)
         rows = np.arange(first, last)
         rows = rows[share[rows] * total[rows, 2] >= self.least_force_n]
+        if len(rows) == 0:
+            raise InputError(
+                f"{path}: the {self.foot} foot never carries "
+                f"{self.least_force_n:g} N; check mass_kg, gravity_m_per_s2 "
+                "and least_force_n"
+            )
         column = 13 if self.foot == "left" else 22
         middle = rows[phase[rows] == mine]
         ankle = table[middle[len(middle) // 2], column : column + 2]

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_data_root
 from drake_exo.files import schema
 from drake_exo.files.output import checksum
 from drake_exo.files.schema import (
@@ -472,6 +472,7 @@ class Setup:
                 sole, or all.
         """
         root, friction = Path(data_root), settings.contact.friction
+        check_data_root(root)
         mesh = settings.read_mesh(root, mesh_file)
         settings = settings.walking_on(mesh.nodes[mesh.contact, :2])
         ground = settings.ground.read(root) if settings.ground else FLAT

@@ -51,6 +51,18 @@ def keys(folder, text="steps: [check]\nstudies: ['*/study.yaml']"):
         ("steps: [check]\nstudies: [a]\nsweep: {a: [1, 1]}", "there twice"),
         ("steps: [check]\nstudies: [a]\noptions: {check: [--out]}", "itself"),
         (
+            "steps: [check]\nstudies: [a]\nsweep: {cost.weight: [1]}",
+            "'cost.weight' is a key of a case file, and there are no cases",
+        ),
+        (
+            "steps: [sole simulate]\ncases: [a]\nsweep: [{model: human}]",
+            "'model' is a key of a study file, and there are no studies",
+        ),
+        (
+            "steps: [check]\nstudies: [a]\noptions: {check: [--data=b]}",
+            "gives --data-root; leave --data=b out",
+        ),
+        (
             "steps: [check]\nstudies: [a]\noptions: {predict: [x]}",
             "none of the steps",
         ),
@@ -297,6 +309,11 @@ def test_keys_that_are_none(tmp_path):
     with pytest.raises(InputError, match="did you mean 'friction'"):
         check_key(Settings, "contact.frction")
     check_key(StudyFile, "mats.left.file")
+    # Names of files, where fields have others.
+    check_key(StudyFile, "trials.0.from")
+    check_key(Settings, "load.to")
+    with pytest.raises(InputError, match="'begin' is unknown"):
+        check_key(Settings, "load.begin")
     path = tmp_path / "study.yaml"
     path.write_text(STUDY)
     with pytest.raises(InputError, match=r"has no key .trials\.1\.use"):
@@ -311,6 +328,9 @@ def test_case_files_too(tmp_path):
     text = changed_text(path, Settings, {"contact.friction": 0.5})
     assert schema.load_text(text, Settings).contact.friction == 0.5
     assert yaml.safe_load(text)["name"] == "example"
+    # A group that the case leaves out.
+    text = changed_text(path, Settings, {"ground.heights": "a.csv"})
+    assert yaml.safe_load(text)["ground"] == {"heights": f"{tmp_path}/a.csv"}
 
 
 @pytest.mark.parametrize("root", ["", "data_root: data/all\n"])

@@ -359,6 +359,8 @@ def test_a_stance_of_a_playback(tmp_path, foot, side):
     np.testing.assert_allclose(load.zmp, own[rows] - centre, atol=1e-7)
     with pytest.raises(InputError, match="1 stances; step 1"):
         Playback("walk.txt", foot, 1).load(tmp_path)
+    with pytest.raises(InputError, match="never carries 20 N; check mass_kg"):
+        Playback("walk.txt", foot, 0, mass_kg=1.0).load(tmp_path)
 
 
 def test_a_constant_load_is_5_ms_apart():

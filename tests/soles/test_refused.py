@@ -166,6 +166,12 @@ def test_a_case_is_never_replaced(case, capsys):
     assert (case / "case.yaml").read_bytes() == before
 
 
+def test_a_data_root_that_is_none(case, capsys):
+    words = ["sole", "simulate", str(case / "case.yaml"), "--out"]
+    assert main([*words, str(case / "out"), "--data-root", "gone"]) == 2
+    assert "gone: is no folder; check data_root" in capsys.readouterr().err
+
+
 def test_no_process_does_no_work(case, capsys):
     words = ["sole", "optimize", str(case / "case.yaml"), "--jobs", "0"]
     with pytest.raises(SystemExit):

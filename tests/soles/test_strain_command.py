@@ -85,6 +85,11 @@ def test_results_are_not_overwritten_unasked(study, capsys):
             where = [str(study / "small"), "--out", str(out), "--force"]
             assert cli.main(["sole", job, *where]) == 2
             assert "would replace" in capsys.readouterr().err
+    for option in ("--mesh", "--data-root"):
+        where = [str(study), "--out", str(study / "new"), option, str(study)]
+        assert cli.main(["sole", "strain", *where]) == 2
+        assert "are a case file's; leave them" in capsys.readouterr().err
+    assert not (study / "new").exists()
 
 
 def test_a_case_file_is_judged_without_optimising(tmp_path):

@@ -221,6 +221,8 @@ def test_what_cannot_be_simulated_is_refused(alone, tmp_path, capsys):
         (["--left-share", "0.7"], "give --model FILE"),
         (["--movement", "squat"], "give --model FILE"),
         (["--model", str(alone), "--full"], "are of the shipped exoskeleton"),
+        (["--model", str(alone), "--truth", "near"], "are of the shipped"),
+        (["--full", "--trials", "2"], "leave out --trials"),
     ):
         assert main(["lab", "--out", out, *options]) == 2
         assert words in capsys.readouterr().err
