@@ -38,7 +38,6 @@ from drake_exo.calibration.phases import (
 from drake_exo.calibration.problem import PhaseResult
 from drake_exo.calibration.results import (
     Origin,
-    forget_trials,
     phase_summary,
     read_calibration,
     write_bands,
@@ -691,9 +690,8 @@ class Calibration(_Solved):
         """Model, contact, trajectories, tables and figures into a folder.
 
         Args:
-            folder: made if it is not there; of earlier results there, trials
-                that are not of these are removed. What failed or does not hold
-                is written, too, marked everywhere.
+            folder: made if it is not there. What failed or does not hold is
+                written, too, marked everywhere.
             verdict: that of `verdict` if None.
 
         Returns:
@@ -706,7 +704,6 @@ class Calibration(_Solved):
         verdict = verdict or self.verdict()
         summary, mark = self.summary(verdict), verdict.mark
         model, trials = found.problem.model, found.problem.trials
-        forget_trials(folder, [trial.name for trial in trials])
         # On the clocks that were found, as they are compared with.
         write_inputs(folder, model, self._measured)
         write_contact(

@@ -29,7 +29,7 @@ from typing import Any, Literal
 import yaml
 
 import drake_exo
-from drake_exo.errors import InputError, nearest
+from drake_exo.errors import InputError, check_names, nearest
 from drake_exo.files import schema
 from drake_exo.files.schema import quantity
 from drake_exo.files.tables import read_bytes
@@ -74,8 +74,16 @@ class Laboratories:
 
     seeds: tuple[int, ...] | SeedRange = quantity(None, minimum=0)
     truth: Literal["wide", "near"] = "wide"
-    trials: int | None = quantity(None, None, minimum=1)
+    trials: int | None = quantity(None, None, minimum=1, maximum=9)
     without: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        if not self.all_seeds():
+            raise InputError("seeds: give at least one")
+        if self.without:
+            from drake_exo.virtual_laboratory.truth import DISTURBANCES
+
+            check_names(self.without, [*DISTURBANCES, "all"])
 
     def all_seeds(self) -> tuple[int, ...]:
         """Every seed once, in the order given."""

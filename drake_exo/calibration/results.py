@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -29,14 +29,7 @@ from drake_exo.contact.parameters import (
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.opensim import write_table
-from drake_exo.files.output import (
-    HOLDS,
-    Check,
-    Verdict,
-    checksum,
-    read_json,
-    write_json,
-)
+from drake_exo.files.output import HOLDS, Check, Verdict, checksum, write_json
 from drake_exo.files.tables import Table
 from drake_exo.measurement.sagittal import external_loads
 from drake_exo.measurement.trial import Trial
@@ -492,31 +485,6 @@ def write_trial(folder: Path, trial: Trial, mark: str = "") -> None:
     trial.save(folder / f"solution_{trial.name}")
 
 
-_TABLES = (
-    *("coordinates", "speeds", "ground_reaction", "torques", "interaction"),
-    "bands",
-)
-
-
-def forget_trials(folder: Path, keep: Iterable[str]) -> None:
-    """Remove the trials of the results there, before others replace them.
-
-    Args:
-        folder: whose summary.json says which trials they are of.
-        keep: names of trials that stay.
-    """
-    path = folder / "summary.json"
-    if not path.is_file():
-        return
-    said = read_json(path, "remove it")
-    rows = said.get("rmsd", ()) if isinstance(said, dict) else ()
-    for name in {row["trial"] for row in rows if row} - set(keep):
-        tables = [f"{name}_{kind}.sto" for kind in _TABLES]
-        saved = [f"{s}_{name}.{end}" for s in _SOURCES for end in _ENDINGS]
-        for file in (*tables, *saved):
-            (folder / file).unlink(missing_ok=True)
-
-
 def write_bands(
     folder: Path, trial: Trial, found: Bands, mark: str = ""
 ) -> None:
@@ -552,7 +520,6 @@ def write_bands(
 
 
 _SOURCES = ("solution", "measured", "uncalibrated", "before", "after")
-_ENDINGS = ("npz", "json")  # of a trial that is saved
 
 
 def read_trial(folder: Path, name: str, source: str = "solution") -> Trial:

@@ -403,7 +403,10 @@ _THREADS = (
     "MKL_NUM_THREADS",
     "NUMBA_NUM_THREADS",
 )
-_NO_MEMORY = ("bad_alloc", "MemoryError", "annot allocate memory")
+_NO_MEMORY = (
+    *("bad_alloc", "MemoryError", "annot allocate memory"),
+    "can't start new thread",
+)
 
 
 class Worker:

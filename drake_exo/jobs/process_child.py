@@ -4,6 +4,7 @@ Jobs come as pickles on standard input, answers go back on what was standard
 output; what a job prints goes to standard error.
 """
 
+import errno
 import importlib
 import os
 import pickle
@@ -41,9 +42,10 @@ def call(function: str, arguments: dict) -> dict:
         answer |= {"state": "done", "value": value}
     except InputError as error:
         answer["error"] = str(error)
-    except MemoryError:
-        answer["state"] = "memory"
     except Exception as error:
+        no_memory = getattr(error, "errno", None) == errno.ENOMEM
+        if no_memory or isinstance(error, MemoryError):
+            answer["state"] = "memory"
         answer["error"] = f"{type(error).__name__}: {reason(error)}"
         answer["trace"] = traceback.format_exc()
         answer["raised"] = error if isinstance(error, OSError) else None

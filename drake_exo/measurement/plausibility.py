@@ -1079,11 +1079,12 @@ def _exchanged(e: Evidence, human, device, moving) -> Iterator[Check]:
     # An offset is no exchange: that is for `encoder_offset` to tell.
     human = human - human.mean(axis=0)
     device = device - device.mean(axis=0)
+    # Nor is a flipped sign, which `encoder_sign` tells.
+    alike = np.where(np.sum(device * human, axis=0) < 0.0, -device, device)
     for a, b in combinations(moving, 2):
-        own, other = (
-            float(np.linalg.norm(device[:, pair] - human[:, [a, b]]))
-            for pair in ([a, b], [b, a])
-        )
+        expected = human[:, [a, b]]
+        own = float(np.linalg.norm(alike[:, [a, b]] - expected))
+        other = float(np.linalg.norm(device[:, [b, a]] - expected))
         yield e.check(
             "encoder_joints",
             own / max(other, 1e-9),

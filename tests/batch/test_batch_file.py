@@ -76,6 +76,15 @@ def keys(folder, text="steps: [check]\nstudies: ['*/study.yaml']"):
             "steps: [check]\nlaboratories: {seeds: {first: 3, last: 1}}",
             "before first",
         ),
+        ("steps: [check]\nlaboratories: {seeds: []}", "give at least one"),
+        (
+            "steps: [check]\nlaboratories: {seeds: [1], trials: 10}",
+            "trials is 10, but must be at most 9",
+        ),
+        (
+            "steps: [check]\nlaboratories: {seeds: [1], without: [slipp]}",
+            "there is no 'slipp'; there are",
+        ),
     ],
 )
 def test_bad_files(text, words):

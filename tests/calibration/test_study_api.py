@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import drake_exo as dx
-from drake_exo.calibration.results import read_trial, write_trial
 from drake_exo.contact.reduction import SoleLaw, SoleSphere
-from drake_exo.files.output import Check, Verdict, write_json
+from drake_exo.files.output import Check, Verdict
 from drake_exo.virtual_laboratory import synthetic
 
 pytestmark = pytest.mark.slow
@@ -100,21 +99,6 @@ def test_a_calibration_is_written_and_read(cuffs, tmp_path):
     back = dx.read_trial(tmp_path, "rise1")
     np.testing.assert_array_equal(back.q, cuffs.trials[0].q)
     assert (tmp_path / "kinematics.png").stat().st_size > 1000
-
-
-def test_of_what_was_written_before_no_other_trial_stays(cuffs, tmp_path):
-    """A prediction beside it, which is of no calibration, does."""
-    first = replace(cuffs.trials[0], name="rise1_fast")
-    write_trial(tmp_path, first)
-    first.save(tmp_path / "measured_rise1_fast")
-    write_trial(tmp_path, replace(first, name="other"))
-    kept = set(tmp_path.glob("*other*"))
-    own = {"rmsd": [{"trial": "rise1_fast"}, {"trial": "rise1"}, None]}
-    write_json(tmp_path / "summary.json", own)
-    cuffs.write(tmp_path)
-    assert not list(tmp_path.glob("*fast*"))
-    assert kept == set(tmp_path.glob("*other*"))
-    assert read_trial(tmp_path, "rise1").name == "rise1"
 
 
 def test_for_another_process_it_is_told_what_to_pass_on(cuffs, found):

@@ -58,9 +58,14 @@ def exhaust():
     raise MemoryError
 
 
-def abort():
+def find_no_room():
+    """As the system says it of a file or a process."""
+    raise OSError(errno.ENOMEM, "Cannot allocate memory")
+
+
+def abort(saying="terminate called: std::bad_alloc"):
     """As C++ code does that finds no memory."""
-    os.write(2, b"terminate called: std::bad_alloc\n")
+    os.write(2, f"{saying}\n".encode())
     os.abort()
 
 

@@ -290,18 +290,20 @@ def test_memory_is_bounded_and_the_job_named():
         job("large", "fill", megabytes=900),
         job("small", "fill", megabytes=50),
         job("inside", "abort"),
+        job("threads", "abort", saying="can't start new thread"),
     ]
     with Processes(1, memory_mb=600) as pool:
         ended = run_jobs(jobs, pool)
     assert ended["small"].value == 50
-    for name in ("large", "inside"):
+    for name in ("large", "inside", "threads"):
         assert ended[name].state == "memory"
         assert "600 MB" in ended[name].error
 
 
-def test_memory_that_nobody_bounded_may_be_short():
+@pytest.mark.parametrize("how", ["exhaust", "find_no_room"])
+def test_memory_that_nobody_bounded_may_be_short(how):
     with Processes(1) as pool:
-        ended = run_jobs([job("a", "exhaust")], pool)["a"]
+        ended = run_jobs([job("a", how)], pool)["a"]
     assert ended.state == "memory"
     assert ended.error.startswith("needs more memory than there is")
 

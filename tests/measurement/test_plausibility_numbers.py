@@ -832,6 +832,16 @@ def test_offsets_of_two_encoders_are_no_exchange():
     assert found[1:] == (1.1, True)
 
 
+def test_a_flipped_encoder_is_no_exchange():
+    e = worn(
+        [lambda t: 0.0 * t, lambda t: -bends(60.0)(t), bends(40.0)],
+        [lambda t: 0.0 * t, bends(60.0), bends(40.0)],
+    )
+    (found,) = told(list(plausibility.device_checks(e)), "encoder_joints")
+    assert found[0].expected == pytest.approx(0.0, abs=1e-9)
+    assert found[1:] == (1.1, True)
+
+
 def test_an_encoder_that_is_frozen_for_a_while():
     """For 0.2 s in which the knee turns by 16 degrees."""
 
