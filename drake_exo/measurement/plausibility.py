@@ -77,6 +77,7 @@ LIMITS: dict[str, tuple[float, str, str]] = {
     "cop_along": (0.03, "m", "forces"),
     "cop_across": (0.05, "m", "forces"),
     "cop_unit": (2.0, "m", "forces"),
+    "cop_light": (0.05, "m", "forces"),
     "foot_sides": (0.0, "m", "markers"),
     "plate_sides": (0.0, "m", "forces"),
     # A plate repeats itself to the last digit only where it does not measure.
@@ -323,6 +324,33 @@ class Evidence:
         across = np.maximum(sole[:, 2] - y, y - sole[:, 3])
         return float(np.quantile(along, 0.95)), float(np.quantile(across, 0.95))
 
+    def astray(self, foot: str) -> tuple[float, float]:
+        """How far the pressure that is used leaves the foot along it, ever.
+
+        Returns:
+            That distance [m], negative inside, and the largest force that a
+            plate bears while it is beyond its limit [N]; NaN and 0 where
+            nothing can be said.
+        """
+        sole = self.sole(foot)
+        if sole is None or not len(sole):
+            return np.nan, 0.0
+        forces = self.recording.forces
+        wrench = forces.wrenches[foot]
+        time = self.recording.motion.time[self.inside][self.loaded(foot)]
+        force, moment = (
+            np.interp(time, forces.time, x)
+            for x in (wrench.force_z, wrench.moment)
+        )
+        bears = force > LOADED_N
+        x = -moment[bears] / force[bears]
+        beyond = np.maximum(sole[bears, 0] - x, x - sole[bears, 1])
+        far = beyond > LIMITS["cop_light"][0]
+        return (
+            float(beyond.max(initial=-np.inf)),
+            float(force[bears][far].max(initial=0.0)),
+        )
+
     def off_side(self, **changed) -> float:
         """How much nearer each plate's pressure is to its own foot [m].
 
@@ -423,6 +451,17 @@ def _pressure(e: Evidence, foot: str) -> Iterator[Check]:
             value,
             f"the centre of pressure of plate {foot!r} is {value:.3g} m "
             f"{words} the foot that its markers show; {cause}",
+        )
+    if along <= LIMITS["cop_along"][0]:
+        most, borne = e.astray(foot)
+        yield e.check(
+            "cop_light",
+            most,
+            f"the centre of pressure of plate {foot!r} strays {most:.3g} m off "
+            f"the foot while up to {borne:.0f} N are borne, as points that "
+            "were filtered do at touch-down and lift-off; set "
+            f"laboratory.hold_cop_below_n to about {10 * round(borne / 5):.0f}",
+            level="note",
         )
     far = float(np.fmax(along, across))
     is_unit = any(_fits(e, scale=s) for s in _LENGTHS.values())

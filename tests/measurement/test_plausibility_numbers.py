@@ -408,6 +408,35 @@ def test_pressure_is_measured_from_the_foots_edges():
     assert e.outside("left")[0] == pytest.approx(0.03)
 
 
+def test_points_that_stray_where_little_is_borne_are_told():
+    """As they are used: held at small forces there is nothing to tell."""
+    feet = shod(left=(0.1, 0.1), right=(0.1, -0.1))
+    e = made(feet=feet, legs={"left": np.zeros((200, 3))})
+    on = {"left": pressed(x=0.2, y=0.1), "right": pressed(x=0.2, y=-0.1)}
+    known(e, plates=on)
+    # Frames of over 50 N begin with 60 N and end with 75 N.
+    at = [1.5, 1.6, 1.9, 1.98, 1.985]
+    force = np.interp(TIME, at, [0.0, 600.0, 600.0, 75.0, 0.0])
+
+    def swinging(m_n):
+        x = 0.2 + m_n * np.maximum(150.0 - force, 0.0)
+        return PlanarWrench.of(np.column_stack([0 * x, force, -x * force]))
+
+    for m_n, most, borne in ((0.0025, 0.045, 0.0), (0.004, 0.18, 75.0)):
+        e.recording.forces = SimpleNamespace(
+            time=TIME, wrenches={"left": swinging(m_n)}
+        )
+        assert e.astray("left") == pytest.approx((most, borne))
+        found = list(plausibility._pressure(e, "left"))
+        (check,) = (c for c in found if c.level == "note")
+        assert told(check, "cop_light") == [(most, 0.05, borne == 0.0)]
+    assert "while up to 75 N are borne" in check.sentence
+    assert "hold_cop_below_n to about 150" in check.sentence
+    e.recording.forces.wrenches["left"] = swinging(0.004).held(160.0)
+    assert e.astray("left") == pytest.approx((0.07 - 0.2, 0.0))
+    assert np.isnan(made(feet={}).astray("left")[0])
+
+
 def test_a_pressure_far_away_is_told_with_its_unit():
     feet = shod(left=(0.1, 0.1), right=(0.1, -0.1))
     e = made(feet=feet, legs={"left": np.zeros((200, 3))})
@@ -432,6 +461,7 @@ def test_a_pressure_far_away_is_told_with_its_unit():
 def test_a_foot_far_from_the_origin_is_far_from_no_limit():
     e = made(feet=shod(left=(3.0, 0.1)), legs={"left": np.zeros((200, 3))})
     known(e, plates={"left": pressed(x=3.1, y=0.1)})
+    known(e, astray=lambda foot: (-0.1, 0.0))
     *_, found = plausibility._pressure(e, "left")
     assert found.holds and found.value < 0.0
 
