@@ -215,13 +215,31 @@ def _of_trial(subject: SubjectModel, trial: Trial) -> TrialQuality:
     )
 
 
+# What a plate's level and a mat's report say, in words.
+_LEVELS = {
+    "empty_plate_n": "{:.1f} N while empty",
+    "offset_n": "offset {:.1f} N",
+    "drift_n_s": "drift {:.2f} N/s",
+    "unloaded_s": "unloaded for {:.1f} s",
+}
+_MATS = {
+    "surface": "surface {}",
+    "cell_distance_mm": "cells {:.1f} mm apart",
+    "peak_kpa": "at most {:.3g} kPa",
+    "at_peak_share": "{:.0%} of what is loaded reads that",
+    "forward_share": "forward part of its push {:+.0%}",
+    "stuck_cells": "{} cells are stuck",
+    "doubled": "{}",
+}
+
+
 def _notes(trial: Trial):
     """What was done to a trial, line by line."""
     said = trial.provenance
     for name, text in said["clocks"].items():
         yield f"clock of {name}: {text}"
     for plate, found in said["plate_levels"].items():
-        parts = [f"{k} {v:.3g}" for k, v in found.items()]
+        parts = [_LEVELS[k].format(v) for k, v in found.items()]
         yield f"plate {plate} levelled: {', '.join(parts)}"
     if said["one_leg_doubled"]:
         yield "one foot on a plate: its forces are doubled"
@@ -238,10 +256,8 @@ def _notes(trial: Trial):
     for load in said.get("loads", ()):
         yield f"load: {load}"
     for mat, found in said["mats"].items():
-        parts = [
-            str(v) if isinstance(v, str) else f"{k} {v:.3g}"
-            for k, v in found.items()
-        ]
+        parts = [_MATS[k].format(v) for k, v in found.items()]
+        parts = [part.replace("%", " %") for part in parts]
         yield f"mat {mat}: {', '.join(parts)}"
 
 

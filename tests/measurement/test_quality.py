@@ -64,7 +64,7 @@ def test_stuck_cells_of_a_mat_are_warned_of(assessed):
     mats = {"front": {"stuck_cells": 3}, "back": {"peak_kpa": 5.0}}
     (t,) = assessed(said={"mats": mats}).trials
     assert t.warnings[-1].startswith("stuck cells of front: 3 never change")
-    assert "mat front: stuck_cells 3" in t.notes
+    assert "mat front: 3 cells are stuck" in t.notes
 
 
 @pytest.mark.parametrize("beyond", [0.99, 1.01])
@@ -106,8 +106,14 @@ def test_what_was_done_to_a_trial_is_listed(assessed):
             "markers_left_out": ["a", "b"],
             "legs_followed": ["right"],
             "one_leg_doubled": True,
-            "plate_levels": {"left": {"offset_n": 1.23456}},
-            "mats": {"front": {"peak_kpa": 12.3456, "surface": "plane"}},
+            "plate_levels": {"left": {"offset_n": 1.23456, "unloaded_s": 0.7}},
+            "mats": {
+                "front": {
+                    "peak_kpa": 12.3456,
+                    "surface": "plane",
+                    "forward_share": -0.75,
+                }
+            },
             "encoder_legs": "left",
         },
         osim={
@@ -121,11 +127,12 @@ def test_what_was_done_to_a_trial_is_listed(assessed):
     assert t.left_out == ("a", "b")
     assert "left out, hidden for too long: a, b" in t.warnings
     for line in (
-        "plate left levelled: offset_n 1.23",
+        "plate left levelled: offset 1.2 N, unloaded for 0.7 s",
         "one foot on a plate: its forces are doubled",
         "markers follow the right leg alone",
         "encoders of the left leg stand for both",
-        "mat front: peak_kpa 12.3, plane",
+        "mat front: at most 12.3 kPa, surface plane, "
+        "forward part of its push -75 %",
     ):
         assert line in t.notes
     text = quality.text_of(found)
