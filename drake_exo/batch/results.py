@@ -52,8 +52,13 @@ _UNITS = {
     "_n_per_m": "N/m",
     "c_rot": "N m/rad",
     "c_rot_initial": "N m/rad",
+    "c_rot_sole_alone": "N m/rad",
     "c_tr": "N/m",
     "c_tr_initial": "N/m",
+    "c_tr_sole_alone": "N/m",
+    "c_tr_finite": "N/m",
+    "c_tr_small": "N/m",
+    "parts": "N",
     "_cm3": "cm^3",
     "_deg_s": "deg/s",
     "_n_s": "N/s",
@@ -65,6 +70,7 @@ _UNITS = {
     "_m": "m",
     "_n": "N",
     "_s": "s",
+    "_w": "W",
 }
 # Parts of summary.json that are lists of one dictionary for each trial.
 _OF_TRIALS = ("rmsd", "rmsd_uncalibrated", "band_coverage", "audit", "solves")
@@ -176,6 +182,8 @@ def _summary(summary: dict[str, Any]) -> Iterator[tuple]:
         yield "", f"variables.{v['name']}.today", v["today"], v["unit"]
     for felt in summary.get("felt") or []:
         yield from _leaves("", felt, f"felt.{felt['cuff']}")
+    for drive in summary.get("drives") or []:
+        yield from _leaves("", drive, f"drives.{drive['joint']}")
     if isinstance(first := summary.get("foot_ground"), dict):
         for trial, name, *told in _summary(first):
             yield trial, f"foot_ground.{name}", *told
@@ -184,7 +192,7 @@ def _summary(summary: dict[str, Any]) -> Iterator[tuple]:
             yield "", f"support.{when}", energy, "J"
     apart = {
         *(*_OF_TRIALS, "folds", "parameters", "checks", "foot_ground"),
-        *("variables", "felt", "support"),
+        *("variables", "felt", "drives", "support"),
     }
     rest = {k: v for k, v in summary.items() if k not in apart}
     yield from _leaves("", rest, "")

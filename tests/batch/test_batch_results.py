@@ -108,6 +108,11 @@ def test_units():
     assert unit_of("band_coverage.half_width_n.pelvis") == "N"
     assert unit_of("free_moment_nm.cut_samples") == ""  # a number of them
     assert unit_of("multipliers.tilt_deg") == ""
+    assert unit_of("parts.places alone") == "N"
+    assert unit_of("finite_strain.c_tr_small") == "N/m"
+    assert unit_of("gait.c_tr_sole_alone") == "N/m"
+    assert unit_of("gait.c_rot_sole_alone") == "N m/rad"
+    assert unit_of("gait.walk.step_time_s.0") == "s"
 
 
 def test_numbers_of_a_design():
@@ -117,6 +122,7 @@ def test_numbers_of_a_design():
         {
             "variables": [variable],
             "felt": [{"cuff": "thigh", "after": {"shear_n": 3.0}}],
+            "drives": [{"joint": "exo_hip", "before": {"power_w": 4.0}}],
             "support": {"before": 90.0, "measured_after": None},
         }
     )
@@ -124,6 +130,7 @@ def test_numbers_of_a_design():
         ("", "variables.thigh.along_m", 0.1, "m"),
         ("", "variables.thigh.along_m.today", 0.0, "m"),
         ("", "felt.thigh.after.shear_n", 3.0, "N"),
+        ("", "drives.exo_hip.before.power_w", 4.0, "W"),
         ("", "support.before", 90.0, "J"),
     ]
 
