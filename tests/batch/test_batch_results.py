@@ -112,7 +112,8 @@ def test_units():
     assert unit_of("finite_strain.c_tr_small") == "N/m"
     assert unit_of("gait.c_tr_sole_alone") == "N/m"
     assert unit_of("gait.c_rot_sole_alone") == "N m/rad"
-    assert unit_of("gait.walk.step_time_s.0") == "s"
+    assert unit_of("gait.walk.step_time.0") == "s"
+    assert unit_of("gait.walk.aim_x.1") == "m"
 
 
 def test_numbers_of_a_design():
