@@ -837,7 +837,7 @@ class Prediction(_Solved, Trial):
 
 
 def _check_use(use: Use | None) -> None:
-    if use not in (None, *get_args(Use)):
+    if use is not None and str(use) not in get_args(Use):
         raise InputError(
             f"use is {use!r}; give one of {', '.join(get_args(Use))}"
         )

@@ -32,6 +32,7 @@ from pydrake.systems.framework import (
     DiagramBuilder,
     LeafSystem,
     LeafSystem_,
+    System,
 )
 from pydrake.systems.scalar_conversion import TemplateSystem
 from scipy.integrate import OdeSolution, Radau
@@ -111,7 +112,13 @@ def build_diagram(
     >>> built.diagram.GetOutputPort("interaction_forces").size()
     9
     """
-    contact = contact or nominal_contact(model)
+    check_type(model, Model, "model")
+    contact = nominal_contact(model) if contact is None else contact
+    check_type(contact, ContactModel, "contact")
+    if controller is not None:
+        check_type(controller, System, "controller")
+    for force in forces:
+        check_type(force, System, "a system of forces")
     builder = DiagramBuilder()
     plant = _add_plant(builder, model, meshcat)
     contacts = {
@@ -159,6 +166,8 @@ def build_simulator(
     0.001
     """
     check_type(model, ExoskeletonDiagram, "model")
+    if context is not None:
+        check_type(context, Context, "context")
     simulator = Simulator(model.diagram, context)
     config = SimulatorConfig(
         integration_scheme=integrator,

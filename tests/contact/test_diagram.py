@@ -364,6 +364,18 @@ def test_bad_requests_are_refused():
     foot = {"foot": contact.bushings["shank"]}
     with pytest.raises(InputError, match="has shank, thigh, pelvis"):
         build_diagram(coupled, replace(contact, bushings=foot))
+    for given, words in (
+        (("coupled",), "model is 'coupled'; give a Model"),
+        ((coupled, coupled), "give a ContactModel"),
+    ):
+        with pytest.raises(InputError, match=words):
+            build_diagram(*given)
+    for name in ("controller", "forces"):
+        with pytest.raises(InputError, match="give a System"):
+            build_diagram(coupled, contact, **{name: ["gains"]})
+    built = build_diagram(coupled, contact)
+    with pytest.raises(InputError, match="context is .*; give a Context"):
+        build_simulator(built, coupled)
 
 
 def test_meshcat_shows_the_simulation():
