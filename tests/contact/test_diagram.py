@@ -374,7 +374,7 @@ def test_bad_requests_are_refused():
         with pytest.raises(InputError, match="give a System"):
             build_diagram(coupled, contact, **{name: ["gains"]})
     built = build_diagram(coupled, contact)
-    with pytest.raises(InputError, match="context is .*; give a Context"):
+    with pytest.raises(InputError, match="give a Context"):
         build_simulator(built, coupled)
 
 
