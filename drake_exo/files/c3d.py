@@ -144,7 +144,7 @@ class C3dContents:
         return found
 
 
-@kept(2)
+@kept(2)  # a trial and the empty plates
 def decode(path: Path) -> C3dContents:
     """Decode a file.
 
