@@ -229,6 +229,21 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     ],
     "drake_exo/calibration/design.py": [
         (
+            "w / w.sum() for w in weights]) / len(weights)",
+            "w / w.sum() for w in weights])",
+        ),
+        (
+            "np.hstack([rise, -np.diag(steps)])",
+            "np.hstack([rise, -np.eye(len(steps))])",
+        ),
+        (
+            "np.block([[eye, eye], [eye, -eye]])",
+            "np.block([[eye, eye], [eye, eye]])",
+        ),
+        ("own - most, own + most)", "-most, most)"),
+        ("np.deg2rad(limits.speed_deg_s)", "limits.speed_deg_s"),
+        ("device - (self._given(at) - self.wearer.drive(at))", "device"),
+        (
             "settings = replace(settings, weight=_LIGHT)",
             "settings = replace(settings, weight=10.0)",
         ),
@@ -537,6 +552,11 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ),
     ],
     "drake_exo/measurement/plausibility.py": [
+        (
+            "x = -moment[bears] / force[bears]",
+            "x = moment[bears] / force[bears]",
+        ),
+        ("force[bears][far].max(initial=0.0)", "force[bears].max(initial=0.0)"),
         ('"encoder_stranger": (0.45,', '"encoder_stranger": (45.0,'),
         ("known[j]) - alone[i] - alone[j]", "known[j]) - alone[i]"),
         ("np.nanargmin(row)", "np.nanargmax(row)"),

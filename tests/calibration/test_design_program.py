@@ -448,6 +448,12 @@ def test_mean_and_rate_of_a_cuff_s_force_have_limits(wearer, today):
         # What stands in the rows is what was filled in.
         for ending in ("rate of normal force", "mean normal force", "size"):
             assert least_room(problem, x, ending) > -1e-9
+        # A size is no less than its force, which pulls or pushes.
+        for cuff in CUFFS:
+            for movement in part.movements:
+                size = part._limited["size", cuff, movement.name]
+                x[problem.program.indices(size)] *= 0.99
+            assert least_room(problem, x, f"{cuff} size") < -0.01
 
 
 def test_a_drive_has_limits_and_friction_is_not_the_drive_s(wearer, today):
