@@ -223,11 +223,9 @@ class Study:
 
         def end(row: Ended) -> None:
             if row.name.endswith(_TOLD):
-                beside = (
-                    UNLIMITED + "/" if row.name.startswith(UNLIMITED) else ""
-                )
                 error = f"{row.name}: {row.cause or row.error}"
-                print(beside + row.value if row.value else error, flush=True)
+                said = _beside(row.name) + row.value if row.value else error
+                print(said, flush=True)
                 note()
 
         try:
@@ -245,11 +243,9 @@ class Study:
             if row.state != "done" and row.name.endswith(_TOLD)
         ]
         for key in self.variants:
-            # Names of cases are those of their designs with limits as well.
-            beside = UNLIMITED + "/" if key == UNLIMITED else ""
             for row in summary[key]:
                 checks += [
-                    replace(c, where=beside + c.where)
+                    replace(c, where=_beside(key) + c.where)
                     for c in stored(row).checks
                 ]
         verdict = Verdict(tuple(checks), tuple(accepted))
@@ -258,6 +254,14 @@ class Study:
         text = _tables(out, summary, verdict.mark)
         write_text(out / "table.txt", text, verdict.mark)
         return verdict, text
+
+
+def _beside(place: str) -> str:
+    """What goes before a case's name, by the key or job that it comes from.
+
+    Names of cases are those of their designs with limits as well.
+    """
+    return UNLIMITED + "/" if place.startswith(UNLIMITED) else ""
 
 
 def _search(out: Path, folder: Path, case: Case, accepted) -> list[Job]:

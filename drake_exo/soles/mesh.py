@@ -190,6 +190,16 @@ class TetMesh:
         up = area[:, 2] > UPWARDS * size
         return float(size[up].sum() / size.sum())
 
+    @property
+    def hollows(self) -> int:
+        """Closed hollows within: parts of the surface but for the outer one."""
+        a, b = face_edges(self.boundary_faces).T
+        graph = coo_matrix(
+            (np.ones(len(a)), (a, b)), shape=2 * self.nodes.shape[:1]
+        )
+        _, part = connected_components(graph, directed=False)
+        return len(np.unique(part[a])) - 1
+
     def volume_gradient(self) -> np.ndarray:
         """∂volume/∂nodes [m²], (n, 3): Σ_e V_e g_a."""
         out = np.zeros_like(self.nodes)

@@ -160,6 +160,13 @@ def _notes(step):
         "so much of the bare surface faces upwards: a rigid mould that opens "
         "upwards does not let go of the sole",
     )  # fmt: skip
+    if hollows := step.sole.mesh.hollows:
+        yield (
+            "hollow", False, float(hollows), 0.0, "",
+            "so many hollows are closed: nothing holds their cores in a "
+            "mould, nor takes them out of the sole; open them to the top, "
+            "fill them, or print the sole",
+        )  # fmt: skip
 
 
 _TOGETHER = 16  # samples whose displacements are computed at a time

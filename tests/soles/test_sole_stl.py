@@ -1,5 +1,6 @@
 """STL of sole and mould: closed, outward, of the right volume."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ from drake_exo.soles.mesh import (
     brick,
     is_watertight,
     mould_triangles,
+    solid,
     write_triangles,
 )
 from drake_exo.soles.optimize.design import Design
@@ -132,3 +134,18 @@ def test_what_a_slicer_refuses_is_not_watertight(mesh):
     turned[0] = turned[0, ::-1]
     assert not is_watertight(turned)
     assert not is_watertight(corners[:, ::-1])
+
+
+@pytest.mark.parametrize("hollows", [0, 1, 2])
+def test_a_closed_hollow_is_a_loose_core_of_the_mould(hollows):
+    whole = brick((0.24, 0.12, 0.06), (8, 4, 4))
+    middle = whole.nodes[whole.tets].mean(axis=1)
+    middle[:, 2] += 0.03
+    x, y, z = np.abs(middle).T
+    within = (x > 0.03) & (x < 0.06) & (y < 0.03) & (z < 0.015)
+    cut = within & np.isin(np.sign(middle[:, 0]), [1.0, -1.0][:hollows])
+    mesh = replace(whole, tets=whole.tets[~cut])
+    mould = mould_triangles(mesh).reshape(-1, 3)
+    nodes, faces = np.unique(mould, axis=0, return_inverse=True)
+    bodies = solid(nodes, faces.reshape(-1, 3)).decompose()
+    assert len(bodies) - 1 == mesh.hollows == hollows

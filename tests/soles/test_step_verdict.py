@@ -32,6 +32,7 @@ def _told(**changes):
         "stability": np.array([900.0, 800.0, np.nan]),
         "zmp_error": 0.01,
         "undercut": 0.001,
+        "hollows": 0,
         "lost": 0.001,
         "friction_used": 0.5,
         "worst": 1e-9,
@@ -51,7 +52,9 @@ def _told(**changes):
         ),
         law=SimpleNamespace(friction=0.8),
         sole=SimpleNamespace(
-            mesh=SimpleNamespace(undercut=made["undercut"], lost=made["lost"])
+            mesh=SimpleNamespace(
+                **{key: made[key] for key in ("undercut", "lost", "hollows")}
+            )
         ),
         times=np.array([0.0, 0.1, 0.25]),
         history=SimpleNamespace(
@@ -97,6 +100,13 @@ def test_a_check_holds_up_to_its_limit(name, key, limit, level):
         assert check.value == pytest.approx(factor * limit)
         assert check.limit == pytest.approx(limit)
         assert bool(check.sentence) is not holds
+
+
+def test_a_closed_hollow_is_told():
+    assert "plausibility.hollow" not in _told()
+    check = _told(hollows=2)["plausibility.hollow"]
+    assert (check.holds, check.value, check.level) == (False, 2.0, "note")
+    assert "cores" in check.sentence
 
 
 def test_strains_beyond_one_mean_nothing():
