@@ -201,6 +201,12 @@ def encoder_files(p: Plant) -> None:
     )
 
 
+def force_files(p: Plant) -> None:
+    """Two trials have each other's forces."""
+    first, second = p.study["trials"][-2:]
+    first["forces"], second["forces"] = second["forces"], first["forces"]
+
+
 def encoder_stranger(p: Plant) -> None:
     """A trial has the encoders of one that is not in the study.
 
@@ -374,6 +380,7 @@ MISTAKES: dict[Callable[[Plant], None], tuple[str, ...]] = {
         *("encoder_file", "encoder_swap", "encoder_motion"),
         "encoder_stranger",
     ),
+    force_files: ("force_file", "force_swap"),
     encoder_stranger: ("encoder_stranger", "encoder_motion"),
     cop_unit: ("cop_unit",),
     plates_exchanged: ("plate_sides",),

@@ -86,6 +86,7 @@ LIMITS: dict[str, tuple[float, str, str]] = {
     "chair": (0.15, "N", "forces"),
     "force_clock": (25.0, "ms", "forces"),
     "force_file": (1.25, "", "forces"),
+    "force_swap": (1.25, "", "forces"),
     # of the device
     "encoder_sign": (0.5, "", "encoders"),
     "encoder_unit": (2.5, "", "encoders"),
@@ -1198,22 +1199,7 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
             "another trial's file",
             holds=not same and ratio <= LIMITS["encoder_file"][0],
         )
-        # What cuffs make of all movements alike is in both and cancels.
-        swapped = {
-            j: _ratio(
-                np.hypot(fits[i, i], fits[j, j]),
-                np.hypot(fits[i, j], fits[j, i]),
-            )
-            for j in others
-        }
-        other = max(swapped, key=swapped.get)
-        yield e.check(
-            "encoder_swap",
-            swapped[other],
-            f"this trial and {known[other].trial.name} fit "
-            f"{swapped[other]:.2f} times better with each other's encoders; "
-            "the two files look exchanged",
-        )
+        yield _swap("encoder_swap", known, fits, i, others)
 
 
 LARGEST_COMMON_LAG_MS = 12.0  # of all trials together
@@ -1294,8 +1280,10 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
     )
     if len(evidence) > 1:
         yield _common_clock(evidence, missed)
-    for e, fits in zip(evidence, missed, strict=True):
-        lag, better = _best_lag(fits, _BETTER)
+    # Of each movement with each file.
+    fits = np.array([[force_misfit(e, o) for o in evidence] for e in evidence])
+    for i, e in enumerate(evidence):
+        lag, better = _best_lag(missed[i], _BETTER)
         yield e.check(
             "force_clock",
             abs(lag),
@@ -1303,19 +1291,58 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
             "away; the plates' clock is not the markers' "
             "(laboratory.estimate_force_delay)",
         )
-        others = [o for o in evidence if o.files.forces != e.files.forces]
+        others = [
+            j
+            for j, o in enumerate(evidence)
+            if o.files.forces != e.files.forces
+        ]
         if not others:
             continue
-        misfits = {o.trial.name: force_misfit(e, o) for o in others}
-        best = min(misfits, key=misfits.get)
+        best = min(others, key=lambda j, i=i: fits[i, j])
         # Nearly equal movements: the body's inertias alone prefer either.
-        ratio = _ratio(fits[_NOW], max(misfits[best], _FITS * e.weight))
+        ratio = _ratio(fits[i, i], max(fits[i, best], _FITS * e.weight))
         yield e.check(
             "force_file",
             ratio,
-            f"forces of trial {best} fit this motion {ratio:.1f} "
-            "times better; the file is another trial's",
+            f"forces of trial {evidence[best].trial.name} fit this motion "
+            f"{ratio:.1f} times better; the file is another trial's",
         )
+        yield _swap("force_swap", evidence, fits, i, others)
+
+
+def _swap(
+    name: str,
+    evidence: Sequence[Evidence],
+    fits: np.ndarray,
+    i: int,
+    others: Sequence[int],
+) -> Check:
+    """Whether a trial and another fit better with each other's files.
+
+    What cuffs or inertias make of all movements alike is in both and cancels.
+
+    Args:
+        name: of the check.
+        evidence: of k trials.
+        fits: (k, k) misfit of each movement with each file, or of each file
+            with each movement.
+        i: the trial.
+        others: with other files.
+    """
+    swapped = {
+        j: _ratio(
+            np.hypot(fits[i, i], fits[j, j]), np.hypot(fits[i, j], fits[j, i])
+        )
+        for j in others
+    }
+    other = max(swapped, key=swapped.get)
+    return evidence[i].check(
+        name,
+        swapped[other],
+        f"this trial and {evidence[other].trial.name} fit "
+        f"{swapped[other]:.2f} times better with each other's "
+        f"{LIMITS[name][2]}; the two files look exchanged",
+    )
 
 
 def _hidden(fits: np.ndarray) -> float:

@@ -718,7 +718,7 @@ def test_what_an_own_lag_leaves_out_at_an_end_does_not_count():
     whole = borne("a", swing(60.0), seconds=used[-1] - 0.015)
     assert np.isfinite(plausibility.force_misfit(whole, whole))
     other = borne("b", swing(60.0))
-    *_, check = plausibility.force_checks([whole, other])
+    *_, check, _ = plausibility.force_checks([whole, other])
     assert check.name.endswith("force_file") and check.holds
     # Nothing can be said where most of it was not recorded.
     half = borne("a", swing(60.0), seconds=used[0] + 0.4)
@@ -761,7 +761,7 @@ def test_plates_of_another_trial():
     checks = list(plausibility.force_checks([own, near, far]))
     ratios = told(checks, "force_file")
     assert [holds for *_, holds in ratios] == [True, False, False]
-    assert "forces of trial a fit this motion" in checks[4].sentence
+    assert "forces of trial a fit this motion" in checks[5].sentence
     assert all(limit == 1.25 for _, limit, _ in ratios)
     far.files.forces = near.files.forces = own.files.forces  # parts of one
     assert len(list(plausibility.force_checks([own, near, far]))) == 4
@@ -775,6 +775,18 @@ def test_forces_of_a_movement_that_is_nearly_the_same():
     checks = list(plausibility.force_checks([own, near]))
     least = pytest.approx(few / (0.01 * own.weight), abs=1e-9)
     assert told(checks, "force_file")[0] == (least, 1.25, True)
+    assert told(checks, "force_swap")[0][2]
+
+
+def test_force_files_of_two_like_movements_exchanged():
+    """Each fits well enough; that both fit better exchanged tells."""
+    first, second = borne("a", swing(88.0)), borne("b", swing(92.0))
+    known(first, needed_z=swing(92.0)(TIME))
+    known(second, needed_z=swing(88.0)(TIME))
+    checks = list(plausibility.force_checks([first, second]))
+    assert all(holds for *_, holds in told(checks, "force_file"))
+    assert not any(holds for *_, holds in told(checks, "force_swap"))
+    assert "b fit" in checks[3].sentence and "forces" in checks[3].sentence
 
 
 def test_a_clock_that_is_late_in_all_trials():
