@@ -1199,7 +1199,7 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
             "another trial's file",
             holds=not same and ratio <= LIMITS["encoder_file"][0],
         )
-        yield _swap("encoder_swap", known, fits, i, others)
+        yield _swap("encoder_swap", known, fits, i, others, "fail")
 
 
 LARGEST_COMMON_LAG_MS = 12.0  # of all trials together
@@ -1307,7 +1307,7 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
             f"forces of trial {evidence[best].trial.name} fit this motion "
             f"{ratio:.1f} times better; the file is another trial's",
         )
-        yield _swap("force_swap", evidence, fits, i, others)
+        yield _swap("force_swap", evidence, fits, i, others, "note")
 
 
 def _swap(
@@ -1316,6 +1316,7 @@ def _swap(
     fits: np.ndarray,
     i: int,
     others: Sequence[int],
+    level: Level,
 ) -> Check:
     """Whether a trial and another fit better with each other's files.
 
@@ -1328,6 +1329,7 @@ def _swap(
             with each movement.
         i: the trial.
         others: with other files.
+        level: of the check.
     """
     swapped = {
         j: _ratio(
@@ -1342,6 +1344,7 @@ def _swap(
         f"this trial and {evidence[other].trial.name} fit "
         f"{swapped[other]:.2f} times better with each other's "
         f"{LIMITS[name][2]}; the two files look exchanged",
+        level=level,
     )
 
 
