@@ -614,8 +614,10 @@ def _check_written(path: Path) -> None:
     try:
         decode(path)
     except InputError as error:
+        _, _, said = str(error).partition(": ")
         raise InputError(
-            f"{path}: cannot be written; make room or choose another folder"
+            f"{path}: cannot be written (read back, it {said}); make room or "
+            "choose another folder"
         ) from error
 
 
