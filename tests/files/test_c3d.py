@@ -116,7 +116,7 @@ def test_a_full_disk_is_told(tmp_path, markers, monkeypatch):
         Path(path).write_bytes(data[: len(data) // 2])
 
     monkeypatch.setattr(ezc3d.c3d, "write", cut)
-    with pytest.raises(InputError, match="cannot be written; make room"):
+    with pytest.raises(InputError, match=r"cannot be written \(.*; make room"):
         write_c3d(tmp_path / "a.c3d", markers)
 
 
