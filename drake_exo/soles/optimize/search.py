@@ -467,7 +467,8 @@ def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:
 def nearest_allowed(problem: ShapeProblem, bounds, p) -> np.ndarray:
     """The nearest design within the limits that take no simulation.
 
-    In the metric of shapes. A search that begins within them stays there.
+    In the metric of shapes; where none is found, as near to them as it comes.
+    A search that begins within them mostly stays there.
     """
     p, walk = np.split(p, [problem.spline.count])
     low, high = (np.broadcast_to(b, len(p) + len(walk)) for b in bounds)
