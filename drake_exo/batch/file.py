@@ -29,7 +29,7 @@ from typing import Any, Literal
 import yaml
 
 import drake_exo
-from drake_exo.errors import InputError, check_names, nearest
+from drake_exo.errors import InputError, nearest
 from drake_exo.files import schema
 from drake_exo.files.schema import quantity
 from drake_exo.files.tables import read_bytes
@@ -80,10 +80,6 @@ class Laboratories:
     def __post_init__(self):
         if not self.all_seeds():
             raise InputError("seeds: give at least one")
-        if self.without:
-            from drake_exo.virtual_laboratory.truth import DISTURBANCES
-
-            check_names(self.without, [*DISTURBANCES, "all"])
 
     def all_seeds(self) -> tuple[int, ...]:
         """Every seed once, in the order given."""

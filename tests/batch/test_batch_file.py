@@ -81,10 +81,6 @@ def keys(folder, text="steps: [check]\nstudies: ['*/study.yaml']"):
             "steps: [check]\nlaboratories: {seeds: [1], trials: 10}",
             "trials is 10, but must be at most 9",
         ),
-        (
-            "steps: [check]\nlaboratories: {seeds: [1], without: [slipp]}",
-            "there is no 'slipp'; there are",
-        ),
     ],
 )
 def test_bad_files(text, words):
