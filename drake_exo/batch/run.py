@@ -479,9 +479,13 @@ def _check_sweep(batch: BatchFile, path: Path) -> None:
 
 def _check_options(batch: BatchFile, path: Path, parse: Callable) -> None:
     """Refuse options that a command does not have, likewise."""
-    for step, options in batch.options.items():
+    told = dict(batch.options)
+    if batch.laboratories is not None:
+        told[LAB] = batch.laboratories.options()
+    for step, options in told.items():
         given = ["--calibration", "DIR"] if step in BUILDS_ON else []
-        command = [*step.split(), "FILE", "--out", "DIR", *given, *options]
+        file = [] if step == LAB else ["FILE"]
+        command = [*step.split(), *file, "--out", "DIR", *given, *options]
         said = io.StringIO()
         try:
             with (

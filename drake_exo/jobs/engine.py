@@ -489,7 +489,8 @@ class Worker:
             "lost",
             error=f"its process ended {self.attempt} times ({word})"
             + "".join(f", saying {line[:120]!r}" for line in last)
-            + "; where memory is short, use fewer workers",
+            + "; where memory is short, use fewer workers"
+            + (" or allow more --memory" if self.memory_mb else ""),
             **how,
         )
 

@@ -46,9 +46,10 @@ def call(function: str, arguments: dict) -> dict:
         no_memory = getattr(error, "errno", None) == errno.ENOMEM
         if no_memory or isinstance(error, MemoryError):
             answer["state"] = "memory"
-        answer["error"] = f"{type(error).__name__}: {reason(error)}"
-        answer["trace"] = traceback.format_exc()
-        answer["raised"] = error if isinstance(error, OSError) else None
+        else:
+            answer["error"] = f"{type(error).__name__}: {reason(error)}"
+            answer["trace"] = traceback.format_exc()
+            answer["raised"] = error if isinstance(error, OSError) else None
     answer["seconds"] = time.perf_counter() - start
     return answer
 

@@ -201,6 +201,16 @@ def test_options_are_parsed_before_anything_runs(tmp_path, options, words):
     assert not out.exists()
 
 
+@pytest.mark.slow
+def test_disturbances_are_looked_at_before_anything_runs(tmp_path):
+    path, out = tmp_path / "b.yaml", tmp_path / "out"
+    text = "steps: [check]\nlaboratories: {seeds: [1], without: [noise]}\n"
+    path.write_text(text)
+    with pytest.raises(InputError, match="invalid choice: 'noise'"):
+        run_batch(path, out, lambda: None, "drake_exo.cli:parse", print)
+    assert not out.exists()
+
+
 def test_tables_are_written_while_no_other_run_may(tmp_path):
     path, out, told = tmp_path / "b.yaml", tmp_path / "out", []
     path.write_text("steps: [check]\nlaboratories: {seeds: [1]}\n")

@@ -240,6 +240,10 @@ def test_a_killed_process_loses_its_job_alone(pool, tmp_path):
     assert ended["ever"].state == "lost"
     assert ended["ever"].attempts == ATTEMPTS
     assert "SIGKILL" in ended["ever"].error
+    assert ended["ever"].error.endswith("use fewer workers")
+    with Processes(1, memory_mb=2000) as bounded:
+        ended = run_jobs(jobs[1:2], bounded)
+    assert ended["ever"].error.endswith("or allow more --memory")
 
 
 @pytest.mark.slow
@@ -306,6 +310,8 @@ def test_memory_that_nobody_bounded_may_be_short(how):
         ended = run_jobs([job("a", how)], pool)["a"]
     assert ended.state == "memory"
     assert ended.error.startswith("needs more memory than there is")
+    with pytest.raises(InputError, match="a: needs more memory"):
+        ended.result()
 
 
 @pytest.mark.slow
