@@ -43,7 +43,6 @@ from drake_exo.measurement import mats, recording
 
 # A campaign's files are read once, not once for each mistake.
 recording.read_c3d = functools.cache(recording.read_c3d)
-mats.read_surface = functools.cache(mats.read_surface)
 mats.read_novel_asc = functools.cache(mats.read_novel_asc)
 JOINTS = ("ankle", "knee", "hip")
 LEFT, RIGHT, CHAIR = 1, 2, 3

@@ -553,10 +553,13 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     ],
     "drake_exo/measurement/plausibility.py": [
         (
-            "x = -moment[bears] / force[bears]",
-            "x = moment[bears] / force[bears]",
+            "_beyond(used.cop_x[bears], *sole[bears, :2].T)",
+            "_beyond(used.cop_x[bears], *sole[bears, 2:].T)",
         ),
-        ("force[bears][far].max(initial=0.0)", "force[bears].max(initial=0.0)"),
+        (
+            "force_z[bears][far].max(initial=0.0)",
+            "force_z[bears].max(initial=0.0)",
+        ),
         ('"encoder_stranger": (0.45,', '"encoder_stranger": (45.0,'),
         ("known[j]) - alone[i] - alone[j]", "known[j]) - alone[i]"),
         ("np.nanargmin(row)", "np.nanargmax(row)"),

@@ -326,8 +326,7 @@ class _Wearing(PhaseProblem):
             for k, _, limit in limits.of_forces(today):
                 most[k] = min(most[k], limit)
             most[NORMAL] /= differ
-            if self.wearer.is_drawn:
-                most = np.maximum(most, today)
+            most = self._allowed(most, today)
             program.label(
                 "limit",
                 force,
@@ -356,12 +355,21 @@ class _Wearing(PhaseProblem):
             edge = np.broadcast_to(most, own.shape).ravel()
             movement.bound(own.ravel(), -edge, edge)
 
-    def _new(
-        self, movement, of: str, what: str, unit, size: float, most: float
-    ) -> np.ndarray:
-        """Variables that stand for what is limited, at the nodes.
+    def _allowed(self, most, today):
+        """A limit; one who is drawn need not feel less than today."""
+        return np.maximum(most, today) if self.wearer.is_drawn else most
 
-        A rate is from each node to the next.
+    def _new(
+        self,
+        movement,
+        of: str,
+        what: str,
+        unit,
+        size: float,
+        most: float,
+        rows: int | None = None,
+    ) -> np.ndarray:
+        """Variables that stand for what is limited, from the first node on.
 
         Args:
             movement: in which.
@@ -370,10 +378,9 @@ class _Wearing(PhaseProblem):
             unit: for reports, and factor that leads to it.
             size: typical one.
             most: limit on it, either way.
+            rows: for so many nodes, all by default.
         """
-        times = [f"at {t:.3g} s" for t in movement.grid.times]
-        if what == _RATE:
-            times.pop()
+        times = [f"at {t:.3g} s" for t in movement.grid.times[:rows]]
         n = len(times)
         found = movement.new(f"{of} {what}", [size], n)
         name = f"{movement.name} {of} {what}"
@@ -444,11 +451,9 @@ class _Wearing(PhaseProblem):
     def _limit_pressure(self, movement, cuff: str) -> None:
         differ = self.wearer.shown(cuff)
         settings = self._posed.settings
-        most = settings.limits.pressure_kpa / differ
         area_m2 = settings.freedom(cuff).area_m2
-        if self.wearer.is_drawn:
-            today = self._today.largest_forces[cuff][NORMAL]
-            most = max(most, 1e-3 * today / area_m2)
+        today = 1e-3 * self._today.largest_forces[cuff][NORMAL] / area_m2
+        most = self._allowed(settings.limits.pressure_kpa / differ, today)
         pressed = self._new(
             movement, cuff, "pressure", ("kPa", differ), 1.0, most
         )
@@ -460,15 +465,16 @@ class _Wearing(PhaseProblem):
         )
 
     def _limit_rate(self, movement, cuff: str) -> None:
+        """From each node to the next."""
         differ, steps = self.wearer.shown(cuff), np.diff(movement.grid.times)
-        most = self._posed.settings.limits.rate_n_s / differ
-        if self.wearer.is_drawn:
-            most = max(most, self._today.largest_rates[cuff])
-        rate = self._new(movement, cuff, _RATE, ("N/s", differ), 100.0, most)
-        rise = np.diff(np.eye(len(steps) + 1), axis=0)
+        limit, n = self._posed.settings.limits.rate_n_s / differ, len(steps)
+        most = self._allowed(limit, self._today.largest_rates[cuff])
+        unit = "N/s", differ
+        rate = self._new(movement, cuff, _RATE, unit, 100.0, most, n)
+        rise = np.diff(np.eye(n + 1), axis=0)
         self.program.prog.AddLinearEqualityConstraint(
             np.hstack([rise, -np.diag(steps)]),
-            np.zeros(len(steps)),
+            np.zeros(n),
             np.concatenate([movement.cuffs[cuff][:, NORMAL], rate.ravel()]),
         ).evaluator().set_description(f"{movement.name} {cuff} {_RATE}")
 
@@ -504,9 +510,8 @@ class _Wearing(PhaseProblem):
                 [0.0],
                 np.concatenate([*sizes, mean]),
             ).evaluator().set_description(name)
-            most = limit / differ
-            if self.wearer.is_drawn:
-                most = max(most, self._today.mean_forces[cuff])
+            today = self._today.mean_forces[cuff]
+            most = self._allowed(limit / differ, today)
             prog.AddBoundingBoxConstraint([0.0], [most], mean)
 
     def _shares(self) -> np.ndarray:

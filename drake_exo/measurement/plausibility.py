@@ -321,8 +321,7 @@ class Evidence:
         if sole is None or not len(sole):
             return np.nan, np.nan
         x, y = self.cop(foot, **changed).T
-        along = np.maximum(sole[:, 0] - x, x - sole[:, 1])
-        across = np.maximum(sole[:, 2] - y, y - sole[:, 3])
+        along, across = _beyond(x, *sole[:, :2].T), _beyond(y, *sole[:, 2:].T)
         return float(np.quantile(along, 0.95)), float(np.quantile(across, 0.95))
 
     def astray(self, foot: str) -> tuple[float, float]:
@@ -336,20 +335,14 @@ class Evidence:
         sole = self.sole(foot)
         if sole is None or not len(sole):
             return np.nan, 0.0
-        forces = self.recording.forces
-        wrench = forces.wrenches[foot]
         time = self.recording.motion.time[self.inside][self.loaded(foot)]
-        force, moment = (
-            np.interp(time, forces.time, x)
-            for x in (wrench.force_z, wrench.moment)
-        )
-        bears = force > LOADED_N
-        x = -moment[bears] / force[bears]
-        beyond = np.maximum(sole[bears, 0] - x, x - sole[bears, 1])
+        used = self.recording.forces.at(time)[foot]
+        bears = used.force_z > LOADED_N
+        beyond = _beyond(used.cop_x[bears], *sole[bears, :2].T)
         far = beyond > LIMITS["cop_light"][0]
         return (
             float(beyond.max(initial=-np.inf)),
-            float(force[bears][far].max(initial=0.0)),
+            float(used.force_z[bears][far].max(initial=0.0)),
         )
 
     def off_side(self, **changed) -> float:
@@ -402,6 +395,11 @@ def plate_checks(e: Evidence) -> Iterator[Check]:
         yield _clipped(e, name, w[:, 2])
     if e.recording.chair is not None:
         yield _chair(e)
+
+
+def _beyond(x, low, high):
+    """How far x is outside of a range; negative inside."""
+    return np.maximum(low - x, x - high)
 
 
 def likely_cause(e: Evidence) -> str | None:

@@ -14,7 +14,7 @@ import meshio
 import numpy as np
 from manifold3d import Manifold, Mesh64
 from scipy.interpolate import BSpline
-from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse import coo_array, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from drake_exo.errors import InputError
@@ -194,10 +194,7 @@ class TetMesh:
     def hollows(self) -> int:
         """Closed hollows within: parts of the surface but for the outer one."""
         a, b = face_edges(self.boundary_faces).T
-        graph = coo_matrix(
-            (np.ones(len(a)), (a, b)), shape=2 * self.nodes.shape[:1]
-        )
-        _, part = connected_components(graph, directed=False)
+        _, part = connected(len(self.nodes), a, b)
         return len(np.unique(part[a])) - 1
 
     def volume_gradient(self) -> np.ndarray:
@@ -288,6 +285,12 @@ def normals_of(corners: np.ndarray) -> np.ndarray:
 def face_edges(faces: np.ndarray) -> np.ndarray:
     """Edges of triangles (f, 3) in the order they go round, (3f, 2)."""
     return faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+
+
+def connected(count: int, i, j) -> tuple[int, np.ndarray]:
+    """How many parts `count` things make with these links, and each's part."""
+    links = coo_array((np.ones(len(i)), (i, j)), shape=(count, count))
+    return connected_components(links, directed=False)
 
 
 def scatter(out: np.ndarray, place: np.ndarray, rows: np.ndarray) -> None:
@@ -526,8 +529,7 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
         nodes, name, ", and lengths are in metres; scale it (millimetres by "
         "0.001)",
     )  # fmt: skip
-    graph = coo_matrix((np.ones(len(i)), (i, j)), shape=2 * (len(nodes),))
-    parts, _ = connected_components(graph, directed=False)
+    parts, _ = connected(len(nodes), i, j)
     if parts > 1:
         raise InputError(
             f"{name}: the mesh falls into {parts} unconnected parts; merge "

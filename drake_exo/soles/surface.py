@@ -21,8 +21,6 @@ from zipfile import BadZipFile
 import igl
 import numpy as np
 from manifold3d import Manifold, OpType
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from drake_exo.errors import InputError, first_line
@@ -33,6 +31,7 @@ from drake_exo.soles.mesh import (
     check_top,
     check_turned,
     checked_mesh,
+    connected,
     corners_of,
     face_edges,
     grid_mesh,
@@ -238,11 +237,8 @@ def _parted(path, nodes, faces) -> tuple[np.ndarray, np.ndarray]:
         np.concatenate([one, after[one]]),
         np.concatenate([after[other], other]),
     )
-    same = coo_array((np.ones(2 * len(one)), links), shape=2 * (faces.size,))
-    _, first, corner = np.unique(
-        connected_components(same, directed=False)[1],
-        return_index=True, return_inverse=True,
-    )  # fmt: skip
+    _, same = connected(faces.size, *links)
+    _, first, corner = np.unique(same, return_index=True, return_inverse=True)
     return nodes[faces.ravel()[first]], corner.reshape(-1, 3)
 
 
@@ -628,10 +624,7 @@ def _sharp(corners, size: float):
     large = np.linalg.norm(area, axis=1)
     n = area / np.maximum(large, 1e-300)[:, None]
     joined = pair[(n[pair[:, 0]] * n[pair[:, 1]]).sum(axis=1) > _SHARP]
-    graph = coo_array(
-        (np.ones(len(joined)), joined.T), shape=2 * (len(corners),)
-    )
-    number, patch = connected_components(graph, directed=False)
+    number, patch = connected(len(corners), *joined.T)
     areas = 0.5 * np.bincount(patch, large, number)
     rank = np.empty(number, int)
     rank[np.argsort(-areas, kind="stable")] = np.arange(number)

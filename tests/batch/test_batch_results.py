@@ -95,25 +95,32 @@ def test_rows(batch):
     assert carl.value is None and "mend it" in carl.verdict
 
 
-def test_units():
-    assert unit_of("rmsd.velocities_deg_s.hip") == "deg/s"
-    assert unit_of("rmsd.moments_nm.knee") == "N m"
-    assert unit_of("iterations") == ""
-    assert unit_of("stability_min_n_per_m") == unit_of("c_tr") == "N/m"
-    assert unit_of("c_rot_mean_nm_per_rad") == "N m/rad"
-    assert unit_of("volume_cm3") == "cm^3"
-    assert unit_of("felt.thigh.before.pressure_kpa") == "kPa"
-    assert unit_of("felt.thigh.before.rate_n_s") == "N/s"
-    assert unit_of("band_coverage.angles_deg.exo_hip") == ""
-    assert unit_of("band_coverage.half_width_n.pelvis") == "N"
-    assert unit_of("free_moment_nm.cut_samples") == ""  # a number of them
-    assert unit_of("multipliers.tilt_deg") == ""
-    assert unit_of("parts.places alone") == "N"
-    assert unit_of("finite_strain.c_tr_small") == "N/m"
-    assert unit_of("gait.c_tr_sole_alone") == "N/m"
-    assert unit_of("gait.c_rot_sole_alone") == "N m/rad"
-    assert unit_of("gait.walk.step_time.0") == "s"
-    assert unit_of("gait.walk.aim_x.1") == "m"
+@pytest.mark.parametrize(
+    ("signal", "unit"),
+    [
+        ("rmsd.velocities_deg_s.hip", "deg/s"),
+        ("rmsd.moments_nm.knee", "N m"),
+        ("iterations", ""),
+        ("stability_min_n_per_m", "N/m"),
+        ("c_tr", "N/m"),
+        ("c_rot_mean_nm_per_rad", "N m/rad"),
+        ("volume_cm3", "cm^3"),
+        ("felt.thigh.before.pressure_kpa", "kPa"),
+        ("felt.thigh.before.rate_n_s", "N/s"),
+        ("band_coverage.angles_deg.exo_hip", ""),
+        ("band_coverage.half_width_n.pelvis", "N"),
+        ("free_moment_nm.cut_samples", ""),  # a number of them
+        ("multipliers.tilt_deg", ""),
+        ("parts.places alone", "N"),
+        ("finite_strain.c_tr_small", "N/m"),
+        ("gait.c_tr_sole_alone", "N/m"),
+        ("gait.c_rot_sole_alone", "N m/rad"),
+        ("gait.walk.step_time.0", "s"),
+        ("gait.walk.aim_x.1", "m"),
+    ],
+)
+def test_units(signal, unit):
+    assert unit_of(signal) == unit
 
 
 def test_numbers_of_a_design():

@@ -10,6 +10,7 @@ from drake_exo.files.tables import MarkerData
 from drake_exo.measurement import plausibility
 from drake_exo.measurement.filters import MarkerFault, leaps, standstills
 from drake_exo.measurement.plausibility import Evidence
+from drake_exo.measurement.recording import FootForces
 from drake_exo.measurement.sagittal import PlanarWrench
 
 WEIGHT = 700.0
@@ -423,9 +424,7 @@ def test_points_that_stray_where_little_is_borne_are_told():
         return PlanarWrench.of(np.column_stack([0 * x, force, -x * force]))
 
     for m_n, most, borne in ((0.0025, 0.045, 0.0), (0.004, 0.18, 75.0)):
-        e.recording.forces = SimpleNamespace(
-            time=TIME, wrenches={"left": swinging(m_n)}
-        )
+        e.recording.forces = FootForces(TIME, {"left": swinging(m_n)}, "f.mot")
         assert e.astray("left") == pytest.approx((most, borne))
         found = list(plausibility._pressure(e, "left"))
         (check,) = (c for c in found if c.level == "note")
