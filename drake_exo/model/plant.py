@@ -432,11 +432,17 @@ def _cuff_links(assembly: Assembly) -> dict[str, tuple[str, str]]:
     Those of the shipped device have their segment's name.
     """
     found = {n: assembly.cuffs[n] for n in assembly.closed}
+    links = {n: (c.human, _held(assembly, n)) for n, c in found.items()}
     if not assembly.is_fitted:
-        return {n: (cuff.human, n + _SHELL) for n, cuff in found.items()}
+        return links
     own = {n: (n, DEVICE + n) for n in CUFFED}
-    links = {n: (cuff.human, cuff.device) for n, cuff in found.items()}
     return {n: ends for n, ends in links.items() if ends == own.get(n)}
+
+
+def _held(assembly: Assembly, cuff: str) -> str:
+    """Body that a cuff holds on to: a link that is fitted, or its shell."""
+    fitted = assembly.is_fitted
+    return assembly.cuffs[cuff].device if fitted else cuff + _SHELL
 
 
 def _add_shells(plant, worn, assembly: Assembly, human) -> None:
@@ -532,7 +538,7 @@ def _strain(assembly: Assembly, tree: PlanarTree, rides) -> float:
     )
     q, origin = names.aligned(bent), (0.0, 0.0)
     off = [
-        tree.point_positions(q, name + _SHELL, origin)
+        tree.point_positions(q, _held(assembly, name), origin)
         - tree.point_positions(q, cuff.human, origin)
         for name, cuff in assembly.cuffs.items()
     ]

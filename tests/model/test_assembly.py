@@ -423,6 +423,15 @@ def test_part_of_the_shipped_device():
     assert model.preload("thigh") == (0.0, 0.0)
 
 
+def test_links_between_those_that_are_held_ride_beside_their_segments():
+    whole = nominal_model("coupled")
+    cuffs = {"pelvis": COUPLED.cuffs["pelvis"]}
+    model = replace(whole, kind=replace(COUPLED, cuffs=cuffs))
+    q = np.array([[0.1, 0.0, 0.1, 0.4, 1.2, 0.9]])
+    com, expected = (m.rigid.tree.center_of_mass(q) for m in (model, whole))
+    np.testing.assert_allclose(com, expected, atol=1e-12)
+
+
 LEG = ("hip", "knee", "ankle")
 
 
