@@ -55,7 +55,8 @@ _END_REACH = 0.3
 # Noise of a swinging leg's moments, of what it is while the foot bears the
 # body; and how long before and after swing it is not yet so small.
 _IN_SWING, _SMEARED_S = 0.03, 0.1
-_LONGEST_S = 120.0  # 24 000 nodes: some 10 GB
+_LONGEST_S = 120.0
+_MOST_NODES = 24_000  # some 10 GB
 
 
 @dataclass(frozen=True)
@@ -225,7 +226,8 @@ class PhaseProblem(Compiles, ABC):
         self.model = model
         self.tree = model.tree
         self.trials = list(as_trials(trials))
-        _check_trials(self.trials, model)
+        nodes_per_second = settings.solver.nodes_per_second
+        _check_trials(self.trials, model, nodes_per_second)
         if parameters:  # calibrated on these
             contact = replace(contact, jerk=typical_jerk(self.trials))
         self.contact = contact = _in_order(contact, model)
@@ -716,13 +718,16 @@ class PhaseProblem(Compiles, ABC):
         )
 
 
-def _check_trials(trials: list[Trial], model: Model) -> None:
+def _check_trials(
+    trials: list[Trial], model: Model, nodes_per_second: float
+) -> None:
     """Refuse trials that a program cannot be made of.
 
     Raises:
         InputError: two are the same movement; one is of another model, does
-            not start at 0, holds what is no number, turns round, is too long,
-            or has a cuff, a foot or a segment that the model has not.
+            not start at 0, holds what is no number, turns round, is too long
+            for so many nodes, or has a cuff, a foot or a segment that the
+            model has not.
     """
     own = model.coordinates
     for k, trial in enumerate(trials):
@@ -750,6 +755,12 @@ def _check_trials(trials: list[Trial], model: Model) -> None:
                 f"trial {trial.name}: has {len(trial.times)} samples of "
                 f"{trial.duration:g} s in all; give at least three, and times "
                 f"in seconds, at most {_LONGEST_S:g}"
+            )
+        if trial.duration * nodes_per_second > _MOST_NODES:
+            raise InputError(
+                f"trial {trial.name}: {nodes_per_second:g} nodes_per_second "
+                f"over {trial.duration:g} s are too many for a computer's "
+                f"memory; give {int(_MOST_NODES / trial.duration)} at most"
             )
         for what, given, known in (
             ("cuff", trial.cuffs, model.tree.cuffs),

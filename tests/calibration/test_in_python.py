@@ -138,6 +138,15 @@ def test_trials_that_no_program_can_be_made_of_are_refused(made, change, words):
         dx.InteractionCalibration(made.model, trials, made.contact)
 
 
+def test_a_grid_that_no_memory_holds_is_refused(made):
+    fine = replace(COARSE, nodes_per_second=2e4)
+    settings = dx.settings.InteractionSettings(solver=fine)
+    with pytest.raises(InputError, match=r"20000 nodes_per_second over 1"):
+        dx.InteractionCalibration(
+            made.model, made.trials, made.contact, settings
+        )
+
+
 def test_no_movement_counts_twice(made):
     trial = made.trials[0]
     with pytest.raises(InputError, match="two trials are called 'rise1'"):
