@@ -35,7 +35,7 @@ from drake_exo.calibration.phases import (
     check_has_cuffs,
     check_is_measured,
 )
-from drake_exo.calibration.problem import PhaseResult
+from drake_exo.calibration.problem import PhaseResult, has_encoders
 from drake_exo.calibration.results import (
     Origin,
     phase_summary,
@@ -983,7 +983,8 @@ def _timing(
     need no grid as fine as forces do.
     """
     lags = trial.provenance.get("delays_s", {})
-    if contact.posterior is None or "encoders" not in lags:
+    timed = "encoders" in lags and has_encoders(trial)
+    if contact.posterior is None or not timed:
         return None, []
     solver = study.interaction.solver
     half = replace(solver, nodes_per_second=0.5 * solver.nodes_per_second)

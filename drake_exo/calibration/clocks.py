@@ -18,7 +18,12 @@ from scipy.interpolate import CubicSpline
 from drake_exo.calibration.audit import Audit
 from drake_exo.calibration.error_model import CLOCKS, shared_moments
 from drake_exo.calibration.phases import InteractionCalibration
-from drake_exo.calibration.problem import Parts, PhaseProblem, PhaseResult
+from drake_exo.calibration.problem import (
+    Parts,
+    PhaseProblem,
+    PhaseResult,
+    has_encoders,
+)
 from drake_exo.calibration.settings import InteractionSettings
 from drake_exo.calibration.uncertainty import DISCREPANCY, QUANTILE_95
 from drake_exo.contact.parameters import ContactModel, Posterior
@@ -127,7 +132,7 @@ def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
         return CubicSpline(trial.times, x)(trial.times + late)
 
     motion = {k: getattr(trial, k).copy() for k in ("q", "v", "a")}
-    for x in motion.values():
+    for x in motion.values() if has_encoders(trial) else ():
         x[:, device] = shown(x[:, device])
     moments, friction = trial.moments, trial.friction
     if moments is not None:

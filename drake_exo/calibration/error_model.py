@@ -146,7 +146,7 @@ class ErrorModel:
             found += [
                 Unknown(f"{trial.name}.{CLOCKS[system]}", "s", sd, trial.name)
                 for system, sd in clocks.items()
-                if not _is_given(trial, system)
+                if _is_unknown(trial, system)
             ]
         self.unknowns = [u for u in found if u.sd > 0.0] if names.device else []
 
@@ -237,11 +237,10 @@ class ErrorModel:
         return found
 
 
-def _is_given(trial: Trial, system: str) -> bool:
-    """Whether a study says what the lag of a clock is."""
+def _is_unknown(trial: Trial, system: str) -> bool:
+    """Whether a clock lags by what no study says; of a recording's own."""
     said = trial.provenance
-    left = said.get("clocks", {})
-    return system in said.get("delays_s", {}) and system not in left
+    return "delays_s" not in said or system in said.get("clocks", {})
 
 
 def shared_moments(

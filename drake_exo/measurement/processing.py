@@ -514,6 +514,8 @@ def _device(files, model: Model, settings, root):
     joints = model.coordinates.device
     moments = angles = clock = None
     lag = laboratory.encoder_delay_s
+    if files.encoders is not None or files.exo_moments is not None:
+        clock = _to_find(lag, laboratory.estimate_encoder_delay)
     if files.exo_moments is not None:
         path = root / files.exo_moments
         legs = device.moment_legs
@@ -524,7 +526,6 @@ def _device(files, model: Model, settings, root):
         legs = device.encoder_legs
         angles = read_angles(path, joints, legs, settings.filter)
         angles = angles.delayed(lag)
-        clock = _to_find(lag, laboratory.estimate_encoder_delay)
     return angles, moments, clock
 
 

@@ -227,6 +227,21 @@ def test_a_clock_that_the_study_gives_is_no_unknown(in_device):
         names = ErrorModel(in_device.model, [trial], ErrorSizes()).names
         own = [n for n in names if n.startswith(trial.name)]
         assert own == [f"{trial.name}.{what}" for what in expected]
+    # Nor is that of a system that recorded nothing.
+    bare = replace(recorded(in_device.trials[0]), provenance={
+        "delays_s": {"forces": 0.0}, "clocks": {}})  # fmt: skip
+    names = ErrorModel(in_device.model, [bare], ErrorSizes()).names
+    assert not [n for n in names if n.startswith(bare.name)]
+
+
+def test_angles_that_no_encoder_showed_stay_where_they_are(in_device):
+    """Moments recorded without encoders go on their clock alone."""
+    trial = recorded(in_device.trials[0])
+    said = trial.provenance | {"exoskeleton_angles": "as the human's"}
+    trial = replace(trial, provenance=said)
+    found = retimed(trial, [Clock(trial.name, "encoders", 0.04, 0.004)])
+    np.testing.assert_array_equal(found.q, trial.q)
+    assert np.abs(found.moments - trial.moments).max() > 0.2
 
 
 def test_what_is_known_of_others_comes_beside():
