@@ -117,6 +117,21 @@ def test_data_root_must_be_a_folder(tmp_path):
         ),
         (
             "model: human",
+            "model: {device: {weld: {exo_foot: foot}, fixed: [exo_knee]}}",
+            "fixed and forward are of a device's file",
+        ),
+        (
+            "model: human",
+            "model: {ground: {foot: {heel: [-50, -60], toe: [0.1, -0.06]}}}",
+            "model.ground.foot.heel[0] is -50, but must be at least -3 m",
+        ),
+        (
+            "model: human",
+            "  segments: {toe_m: [0.1, -0.05]}\nmodel: coupled",
+            "subject.segments.toe_m is no sphere's place",
+        ),
+        (
+            "model: human",
             "model: {human: {legs: two}}\ndevice: {moment_legs: left}",
             "device.moment_legs is 'left', which takes one leg for both",
         ),

@@ -37,7 +37,7 @@ from drake_exo.contact.strap import (
 from drake_exo.errors import InputError, check_bounds
 from drake_exo.files.schema import not_negative, positive, quantity
 from drake_exo.model.assembly import without_side
-from drake_exo.model.segments import CUFFED
+from drake_exo.model.segments import CUFFED, place
 from drake_exo.nlp.ipopt import SolverOptions
 
 __all__ = [
@@ -290,7 +290,7 @@ class FootGroundSettings:
     prior_weight: float = quantity(None, 0.01, minimum=0.0)
     front: tuple[float, ...] = quantity(None, (0.25, 0.5, 2.0, 4.0), above=0.0)
     solver: Solver = Solver()
-    sole_at_m: tuple[float, float] | None = quantity("m", None)
+    sole_at_m: tuple[float, float] | None = place(None)
 
     def __post_init__(self):
         _check_once(self, "spheres")

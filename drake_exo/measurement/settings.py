@@ -251,7 +251,7 @@ class Laboratory:
             plate (equal and opposite).
         fill_gaps_s: longest gap of a marker that is filled; none by default.
         encoder_delay_s, pressure_delay_s: lag of their clocks behind the
-            markers'.
+            markers'; `exo_moments` are on the encoders'.
         estimate_encoder_delay, estimate_pressure_delay: calibration and
             prediction find what lag is left; without, it is as given.
         largest_delay_s: how far the plates' estimate looks to either side.
@@ -673,6 +673,12 @@ class RecordingSettings:
                 f"model's is {worn.name}; state them in that file, and leave "
                 "exoskeleton out"
             )
+        for key in ("heel_m", "toe_m"):
+            if self.assembly.is_fitted and getattr(self.subject.segments, key):
+                raise InputError(
+                    f"subject.segments.{key} is no sphere's place where the "
+                    f"exoskeleton's foot-plate touches; give exoskeleton.{key}"
+                )
         segments = self.assembly.human.segments
         for trial in self.trials:
             for load in trial.loads:

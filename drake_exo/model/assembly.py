@@ -13,7 +13,7 @@ from typing import Literal
 
 from drake_exo.errors import InputError
 from drake_exo.files.schema import quantity
-from drake_exo.model.segments import CUFFED
+from drake_exo.model.segments import CUFFED, IN_BODY, place
 
 Legs = Literal["one", "two"]
 Toes = Literal["rigid", "hinged"]
@@ -101,7 +101,7 @@ class Weld:
     """
 
     to: str
-    at_m: Point = quantity("m", (0.0, 0.0))
+    at_m: tuple[float, float] = place((0.0, 0.0))
     pitch_deg: float = quantity("deg", 0.0)
 
 
@@ -134,6 +134,12 @@ class DeviceFile:
             raise InputError(
                 "the device is attached to nothing; weld one of its links to "
                 "a segment of the person"
+            )
+        if self.file is None and (self.fixed or self.forward != "x"):
+            raise InputError(
+                "fixed and forward are of a device's file, and the shipped "
+                "exoskeleton has its joints and axes; name a file, or leave "
+                "them out"
             )
 
     @property
@@ -172,7 +178,7 @@ class CuffLinks:
 
     human: str
     device: str
-    at_m: Point | None = quantity("m", None)
+    at_m: tuple[float, float] | None = place(None)
     open: bool = False
 
 
@@ -198,7 +204,7 @@ class Assembly:
     device: DeviceFile | None = None
     cuffs: dict[str, CuffLinks] = field(default_factory=dict)
     ground: dict[str, tuple[str, ...] | dict[str, Point] | Literal["same"]] = (
-        field(default_factory=dict)
+        field(default_factory=dict, metadata=IN_BODY)
     )
 
     def __post_init__(self):

@@ -36,11 +36,12 @@ LEG_JOINTS = ("ankle", "knee", "hip")  # between them
 CONTACT_RADIUS_M = 0.032
 
 _FAR_M = 3.0  # what lies further off in a body was given in mm
+IN_BODY = {"unit": "m", "minimum": -_FAR_M, "maximum": _FAR_M}
 
 
 def place(default: Any = MISSING) -> Any:
     """A field for a point (x, z) in a segment's frame."""
-    return quantity("m", default, minimum=-_FAR_M, maximum=_FAR_M)
+    return field(default=default, metadata=IN_BODY)
 
 
 @dataclass(frozen=True)
