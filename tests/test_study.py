@@ -117,6 +117,12 @@ def test_data_root_must_be_a_folder(tmp_path):
         ),
         (
             "model: human",
+            "model: human\ninteraction: {thigh: {normal_n_m: "
+            "{nominal: 5, lower: 5, upper: 5}}}",
+            "lower bound 5 is not below upper bound 5; correct them",
+        ),
+        (
+            "model: human",
             "model: {device: {weld: {exo_foot: foot}, fixed: [exo_knee]}}",
             "fixed and forward are of a device's file",
         ),

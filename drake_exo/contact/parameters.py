@@ -37,8 +37,8 @@ def check_range(nominal: float, lower: float, upper: float) -> None:
     """
     if not lower < upper:
         raise InputError(
-            f"lower bound {lower:g} is not below upper bound {upper:g}; swap "
-            "them"
+            f"lower bound {lower:g} is not below upper bound {upper:g}; "
+            "correct them"
         )
     if not lower <= nominal <= upper:
         raise InputError(
