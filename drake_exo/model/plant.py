@@ -233,10 +233,10 @@ class Model:
             InputError: a sphere has no usual place, and none is given.
         """
         usual = soles(self.human, self.assembly.human)
-        if self.exoskeleton is not None:
-            own = {"heel": self.exoskeleton.heel_m}
-            own["toe"] = self.exoskeleton.toe_m
-            usual["foot"] = {**usual.get("foot", {}), **own}
+        if self.exoskeleton is not None and "foot" in usual:
+            heel, toe = self.exoskeleton.heel_m, self.exoskeleton.toe_m
+            ball = usual["foot"]["ball"][0], toe[1]
+            usual["foot"] |= {"heel": heel, "ball": ball, "toe": toe}
         found: dict[str, dict[str, tuple[float, float]]] = {}
         for body, spheres in self.assembly.spheres.items():
             for name, place in spheres.items():

@@ -423,6 +423,15 @@ def test_part_of_the_shipped_device():
     assert model.preload("thigh") == (0.0, 0.0)
 
 
+def test_every_sphere_is_under_the_foot_plate():
+    ground = {"foot": ("heel", "ball", "toe")}
+    model = nominal_model("coupled")
+    worn = replace(model, kind=replace(COUPLED, ground=ground))
+    x, z = np.transpose(list(worn.spheres.values()))
+    assert (z == model.exoskeleton.toe_m[1]).all()
+    assert (np.diff(x) > 0.0).all()
+
+
 def test_links_between_those_that_are_held_ride_beside_their_segments():
     whole = nominal_model("coupled")
     cuffs = {"pelvis": COUPLED.cuffs["pelvis"]}
