@@ -715,12 +715,16 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("return False, finer, self", "return False, 0.0, self"),
     ],
     "drake_exo/soles/optimize/search.py": [
-        ("return -len(self.optima), *self", "return 0, *self"),
         ('_STRAIN_AIM * problem.limits["strain"]', 'problem.limits["strain"]'),
         ("step.c_rot / base.c_rot", "step.c_rot"),
         ("_AIM * floor * problem.first.c_rot", "_AIM * floor"),
-        ("bounds[:, own:] = at.latest[own:]", "pass"),
-        ("not alone.step.c > design.step.c", "alone.step.c > design.step.c"),
+        (
+            "np.append(alone, setup.gait.walk(number))",
+            "np.append(alone, setup.gait.start)",
+        ),
+        ('"c_tr_sole_alone": own.c_tr', '"c_tr_sole_alone": design.step.c_tr'),
+        ("range(found.stage, len", "range(len(found.optima), len"),
+        ("return -self.stage, *self", "return 0, *self"),
     ],
     "drake_exo/soles/pictures.py": [
         ("axis.plot(*(1e3 * zmp[q])", "axis.plot(*(load.zmp[q])"),

@@ -8,7 +8,7 @@ from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.soles.optimize.design import Design
 from drake_exo.soles.optimize.files import Checkpoint, read_checkpoint
-from drake_exo.soles.optimize.search import optimise
+from drake_exo.soles.optimize.search import in_own_walk, optimise
 from drake_exo.soles.results import Step
 from drake_exo.soles.settings import Settings, Setup, StepReader
 
@@ -130,7 +130,9 @@ class Case(Setup):
                 f"resume: the checkpoint is of the case {resume.case!r}, "
                 f"this one is {self.name!r}; give the case that was begun"
             )
-        if resume is not None and resume.key not in ("", self.key):
+        # A walk's search begins with that of the sole alone.
+        keys = "", self.key, in_own_walk(self).key
+        if resume is not None and resume.key not in keys:
             raise InputError(
                 "resume: the checkpoint is of other settings, another mesh "
                 "or load of this case; only iterations may change"

@@ -333,7 +333,9 @@ def test_what_cannot_be_simulated_scales_nothing(case, problem, monkeypatch):
 
 
 def _fake_run(number, p, cost, violation=0.0):
-    best = Optimum(p, cost, violation=violation, seconds=10.0 + number)
+    best = Optimum(
+        p, cost, violation=violation, seconds=10.0 + number, stage=number - 1
+    )
     row = ({"cost": cost, "violation": violation},)
     return best, Checkpoint(number, 0, p, starts=row)
 
@@ -510,41 +512,42 @@ def test_a_resumed_run_takes_its_checkpoints_along(case, tmp_path, monkeypatch):
 # Walk and sole
 
 
-@pytest.mark.parametrize("alone", [4.0, 6.0, np.nan])
-def test_the_better_of_a_sole_with_its_walk_and_alone(alone):
-    """Beside it the sole for the case's own walk, whichever is taken."""
+def _walking(free, optimize=""):
     text = EXAMPLE[: EXAMPLE.index("load:")]
-    text += "load: {pattern: {free: [step_length, step_time]}}\n"
-    setup = Case.from_text(text)
-    x, searched = setup.gait.start + np.array([0.0, -0.2]), []
+    return Case.from_text(
+        f"{text}load: {{pattern: {{free: {free}}}}}\n{optimize}"
+    )
 
-    def design(c, variables):
-        own = setup.load
-        walked = setup.gait.load(variables) if len(variables) else own
-        return SimpleNamespace(
-            step=SimpleNamespace(
-                c=c, c_tr=c + 1, c_rot=1.0, failed_steps=int(np.isnan(c))
-            ),
-            problem=SimpleNamespace(gait=setup.gait),
-            walk=variables,
-            setup=replace(setup, load=walked),
-        )
 
-    def sole(still):
-        searched.append(still)
-        return design(alone, np.zeros(0))
+def test_what_a_walk_has_become_is_told(monkeypatch):
+    """Beside c of the sole that was found for the case's own walk."""
+    setup, asked = _walking("[step_length, step_time]"), []
+    problem = stage_problem(setup, setup.settings.optimize.stages[0])
+    x = setup.gait.start + np.array([0.0, -0.2])
+    alone = np.full(problem.spline.count, 0.9)
 
-    best = search._beside_alone(setup, design(5.0, x), sole)
-    (still,) = searched
-    assert still.gait is None and still.load is setup.load
-    assert best.step.c == min(5.0, alone if alone == alone else 5.0)
+    def own(*given):
+        asked.append(given)
+        return SimpleNamespace(c_tr=7.0, c_rot=2.0)
+
+    monkeypatch.setattr(search.Step, "by_exact_law", own)
+    best = SimpleNamespace(
+        problem=problem, walk=x, setup=replace(setup, load=setup.gait.load(x))
+    )
+    search._tell_walk(setup, best, alone)
+    ((still, sole, penalty),) = asked
+    assert still is setup and penalty == problem.law.penalty
+    wanted = problem.deformed(np.append(alone, x))
+    np.testing.assert_array_equal(sole.mesh.nodes, wanted.nodes)
+    assert best.gait["c_tr_sole_alone"] == 7.0
+    assert best.gait["c_rot_sole_alone"] == 2.0
     length, time = best.gait["walk"].values()
     assert length == [0.2633, pytest.approx(0.2633)]
-    assert time == [1.0, pytest.approx(1.0 if alone == 4.0 else 0.9)]
+    assert time == [1.0, pytest.approx(0.9)]
     bears = best.gait["contact_s"]
     assert bears[0] - bears[1] == pytest.approx(time[0] - time[1])
-    np.testing.assert_equal(best.gait["c_tr_sole_alone"], alone + 1)
-    limits = setup.gait.limits(setup.gait.start if alone == 4.0 else x)
+    limits = setup.gait.limits(x).values()
+    assert best.gait["least_limit"] == min(v.min() for v in limits)
     pattern = best.setup.settings.load.pattern
     assert not pattern.free and pattern.step_time_s == time[1]
     # What is written has the samples that were simulated.
@@ -553,37 +556,72 @@ def test_the_better_of_a_sole_with_its_walk_and_alone(alone):
             getattr(x, name) for x in (pattern.load(), best.setup.load)
         )
         np.testing.assert_allclose(written, own, atol=1e-9)
-    assert best.gait["least_limit"] == min(v.min() for v in limits.values())
 
 
-def test_walks_are_compared_before_they_move(monkeypatch):
-    """Held to where a start stands, but in the last stage."""
-    text = EXAMPLE[: EXAMPLE.index("load:")]
-    text += "load: {pattern: {free: [step_time]}}\n"
-    text += "optimize: {starts: 2, stages: [{}, {}]}\n"
-    stages = "{samples: 9, iterations: 3}"
-    setup = Case.from_text(text.replace("{}", stages))
-    assert search._starts(setup) == 2 * search._WALKS
-    assert search._starts(search.in_own_walk(setup)) == 2
-    given = []
+def test_walks_begin_with_the_sole_for_the_case_s_own(monkeypatch):
+    """All starts in that; then several walks, the best through the last."""
+    stage = "{samples: 9, iterations: 3}"
+    setup = _walking(
+        "[step_time]",
+        f"optimize: {{starts: 2, stages: [{stage}, {stage}, {stage}]}}\n",
+    )
+    stages, own = setup.settings.optimize.stages, setup.gait.start
+    given, told, chosen = [], [], setup.gait.walk(5)
 
     def fake(problem, p, bounds, *_, **__):
-        given.append((p, bounds))
-        best = Optimum(p)
+        shape, walk = np.split(p, [problem.spline.count])
+        place = [s is problem.stage for s in stages].index(True)
+        given.append((place, p, bounds))
+        cost = np.abs(walk - chosen).sum()
+        best = Optimum(np.append(shape - 0.01, walk), cost, violation=0.0)
         best.trace = [(0, 1.0, 0.0, 0.0)]
         return best
 
+    def done(setup, problem, at, optima, seconds):
+        row = {"p": at.p, "at": at, "stages": [o.stage for o in optima]}
+        return SimpleNamespace(**row)
+
     monkeypatch.setattr(search, "minimise", fake)
     monkeypatch.setattr(search, "strain_scale", lambda *_: 1.0)
-    at = None
-    for number in range(2):
-        _, at = search.from_start(setup, 3, number, at, None, str)
-    (p, held), (again, free) = given
-    np.testing.assert_allclose(p[-1:], setup.gait.walk(3))
-    np.testing.assert_allclose(held[:, -1], p[[-1, -1]])
-    np.testing.assert_array_equal(held[:, 0], BOUNDS)
-    np.testing.assert_array_equal(free[:, -1], [0.0, 1.0])
-    assert again[-1] == p[-1]
+    monkeypatch.setattr(search, "settle", lambda problem, p: p)
+    monkeypatch.setattr(search, "verified", done)
+    monkeypatch.setattr(search, "_tell_walk", lambda *rest: told.append(rest))
+    monkeypatch.setattr(
+        search.ShapeProblem, "cost_on_finer", lambda self, p: None
+    )
+    said = []
+    design = search.optimise(setup, None, said.append)
+    assert [row[0] for row in given] == [0, 0, 1, 2, *[1] * 8, 2]
+    alone = given[3][1] - 0.01  # what its last stage found
+    assert len({len(row[1]) for row in given[:4]}) == 1
+    for number, (_, p, bounds) in enumerate(given[4:12]):
+        walk = setup.gait.walk(number)
+        np.testing.assert_array_equal(p, np.append(alone, walk))
+        np.testing.assert_array_equal(bounds[:, -1], [0.0, 1.0])
+        np.testing.assert_array_equal(bounds[:, 0], BOUNDS)
+    wanted = np.append(alone - 0.01, chosen)
+    np.testing.assert_allclose(given[12][1], wanted)
+    np.testing.assert_allclose(design.p, np.append(alone - 0.02, chosen))
+    assert design.stages == [1, 2] and len(design.at.starts) == 8
+    np.testing.assert_array_equal(design.at.alone, alone)
+    assert told[0][0] is setup and told[0][2] is design.at.alone
+    assert sum("walk 6/8, stage 2/3" in line for line in said) == 1
+    # One that has come to its walk goes on there; before, with the sole.
+    given.clear()
+    setup.optimize(resume=design.at)
+    ((place, p, _),) = given
+    assert place == 2 and p is design.p
+    still = search.in_own_walk(setup)
+    at = Checkpoint(stage=2, p=alone, latest=alone, key=still.key)
+    assert still.gait is None and still.load is setup.load
+    assert still.key != setup.key
+    given.clear()
+    setup.optimize(resume=at)
+    assert [row[0] for row in given] == [2, *[1] * 8, 2]
+    np.testing.assert_array_equal(given[0][1], alone)
+    with pytest.raises(InputError, match="of other settings"):
+        still.optimize(resume=design.at)
+    assert len(own) == 1
 
 
 # The front

@@ -37,6 +37,8 @@ class Checkpoint:
             `search.strain_scale`.
         starts: Of a start the cost, also on a finer mesh, and violation after
             every stage; of a run those that each of its starts has led to.
+        alone: Of a walk that is sought the coefficients of the sole that was
+            found for the case's own one (k,).
         begun: Checkpoints of starts that were interrupted, None for those
             that had none; then there is no p yet.
         case: Its name; "" where a file of an earlier version does not say.
@@ -52,6 +54,7 @@ class Checkpoint:
     curvature: np.ndarray | None = None
     strain_scale: float = 1.0
     starts: tuple[dict, ...] = ()
+    alone: np.ndarray | None = None
     begun: tuple["Checkpoint | None", ...] = ()
     case: str = ""
     key: str = ""
@@ -59,6 +62,8 @@ class Checkpoint:
     def check(self) -> None:
         """Raises ValueError unless all of it is what a run writes."""
         numbers = [self.p, self.curvature]
+        if self.alone is not None:
+            numbers.append(self.alone)
         if self.barrier is not None:
             numbers += [self.latest, self.multipliers]
         sound = (
@@ -80,7 +85,7 @@ class Checkpoint:
         return cls(
             stage, iteration, best.p, latest, multipliers, barrier,
             hessian_approximation.matrix, before.strain_scale, before.starts,
-            case=before.case, key=before.key,
+            before.alone, case=before.case, key=before.key,
         )  # fmt: skip
 
     def check_fits(self, problem) -> None:
@@ -137,7 +142,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
         begun = tuple(begun.get(k) for k in range(count))
         return Checkpoint(begun=begun, case=known.case, key=known.key)
     remedy = "give the folder of an interrupted run"
-    data = read_json(file, remedy)
+    data = {"alone": None} | read_json(file, remedy)
 
     def optional(key, kind):
         return None if data[key] is None else kind(data[key])
@@ -156,6 +161,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
             B + np.tril(B, -1).T,
             float(data.get("strain_scale", 1.0)),
             tuple(data.get("starts") or ()),
+            optional("alone", np.array),
             case=str(data.get("case", "")),
             key=str(data.get("key", "")),
         )

@@ -2,8 +2,10 @@
 
 After each stage but the last the better half of the starts goes on (successive
 halving: Jamieson and Talwalkar, AISTATS 2016), by what they cost on a finer
-mesh: what a design wins by its elements is lost there. Ctrl-C leaves the best
-so far on disk.
+mesh: what a design wins by its elements is lost there. Where a walk is free the
+sole for the case's own one is found so; from that, sole and walk move together,
+from several walks, the best of which goes on. Ctrl-C leaves the best so far on
+disk.
 
 The front: c_tr alone under c_rot >= floor, from the lowest floor to the
 highest, the first from the case's own optimum, each further one from the point
@@ -12,6 +14,7 @@ before with what was learnt of the curvature.
 
 import shutil
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -51,7 +54,7 @@ from drake_exo.soles.settings import Setup, Stage, stage_mesh
 from drake_exo.soles.walking_pattern import Robot
 
 _CHECKPOINT_EVERY = 3  # iterations
-_WALKS = 4  # that are tried for each start of a sole whose walk is free
+_WALKS = 4  # that are tried for each start
 _BEND, _WAVES = 0.03, 4  # of smooth random starts: size, waves along an axis
 # Of the strain that is allowed: what a stage changes, its scale does not know.
 _STRAIN_AIM = 0.98
@@ -82,9 +85,14 @@ class Found:
     start: int = 0
 
     @property
+    def stage(self) -> int:
+        """That it goes on with."""
+        return self.optima[-1].stage + 1 if self.optima else self.at.stage
+
+    @property
     def rank(self) -> tuple:
         """Those that went further first, then by their newest optimum."""
-        return -len(self.optima), *self.optima[-1].rank
+        return -self.stage, *self.optima[-1].rank
 
     def after(self, best: Optimum, at: Checkpoint) -> "Found":
         """One stage further."""
@@ -123,23 +131,18 @@ def optimise(
         row.result()
 
     with TemporaryDirectory() as logs:
-        # A single start, or one that goes on, needs no other process.
-        if min(at_once, sum(not job.needs for job in jobs)) == 1:
+        # Where none run side by side, no other process is needed.
+        widest = max(Counter(job.needs for job in jobs).values())
+        if min(at_once, widest) == 1:
             jobs, pool = [job.told(say=say) for job in jobs], Here()
         else:
             jobs, pool = logged(jobs, Path(logs)), Processes(at_once)
         with pool:
             ended = run_jobs(jobs, pool, end, Heard(say))
-    design = finished(setup, ended[jobs[-1].name].value, say)
+    found = ended[jobs[-1].name].value
+    design = finished(setup, found, say)
     if setup.gait:
-
-        def search(still: Setup) -> Design:
-            def told(line):
-                say(f"sole alone, {line}")
-
-            return optimise(still, None, told, at_once=at_once, bends=bends)
-
-        design = _beside_alone(setup, design, search)
+        _tell_walk(setup, design, found.at.alone)
     design.seconds = time.perf_counter() - began
     return design
 
@@ -157,35 +160,44 @@ def search_jobs(
     and then; `name` begins their names, the others are those of `optimise`.
     """
     block, at = setup.settings.optimize, resume or Checkpoint()
-    jobs, here = [], {"setup": setup, "out": out}
+    jobs, still = [], in_own_walk(setup)
 
-    def add(title: str, function: Callable, **arguments) -> Job:
-        needs = tuple(job.name for job in jobs)
+    def add(title: str, function: Callable, needs=(), **arguments) -> Job:
+        here = {"setup": still, "out": out}
         return Job(
             name + title, f"{__name__}:{function.__name__}",
-            here | arguments, needs, given="before" if needs else None,
+            here | arguments, tuple(job.name for job in needs),
+            given="before" if needs else None,
         )  # fmt: skip
 
     if at.p is None:
-        starts = _starts(setup)
-        bends = tuple(range(starts) if bends is None else bends)
-        begun = list(islice(chain(at.begun, repeat(None)), starts))
+        bends = tuple(range(block.starts) if bends is None else bends)
+        begun = list(islice(chain(at.begun, repeat(None)), block.starts))
         for number in range(max(len(block.stages) - 1, 1)):
             jobs += [
                 add(
-                    f"{place + 1}/stage {number + 1}", race,
+                    f"{place + 1}/stage {number + 1}", race, jobs,
                     number=number, place=place, begun=at_start, bends=bends,
                 )
                 for place, at_start in enumerate(begun)
             ]  # fmt: skip
             begun = begun[: (len(begun) + 1) // 2]
-    return [*jobs, add("last stage", go_on, at=at)]
+    if at.alone is None:
+        jobs.append(add("last stage", go_on, jobs, at=at))
+    if setup.gait:
+        walks = [
+            add(f"walk {number + 1}", in_walk, jobs[-1:], setup=setup,
+                number=number)
+            for number in range(_walks(setup) if jobs else 0)
+        ]  # fmt: skip
+        last = add("with its walk", go_on, walks, setup=setup, at=at)
+        jobs += [*walks, last]
+    return jobs
 
 
-def _starts(setup: Setup) -> int:
-    """How many: more where each is a walk as well."""
-    starts = setup.settings.optimize.starts
-    return starts * _WALKS if setup.gait else starts
+def _walks(setup: Setup) -> int:
+    """How many are tried."""
+    return setup.settings.optimize.starts * _WALKS
 
 
 def race(
@@ -206,7 +218,7 @@ def race(
     racer = Found([], begun, start=place)
     if before:
         racer = sorted(_racers(before), key=lambda r: r.rank)[place]
-    prefix, starts = "", _starts(setup)
+    prefix, starts = "", setup.settings.optimize.starts
     if starts > 1:
         out = start_folder(out, racer.start)
         prefix = f"start {racer.start + 1}/{starts}, "
@@ -215,6 +227,25 @@ def race(
         lambda line: say(prefix + line),
     )  # fmt: skip
     return racer.after(*ended)
+
+
+def in_walk(setup: Setup, out, number: int, say, before) -> Found:
+    """The last stage but one, from the sole alone in one of several walks.
+
+    Sole and walk move together. `before` is what the sole alone has come to;
+    nothing is kept in `out`.
+    """
+    (alone,) = (found.at.p for found in before.values())
+    stage = max(len(setup.settings.optimize.stages) - 2, 0)
+    p = np.append(alone, setup.gait.walk(number))
+    at = Checkpoint(
+        stage, p=p, latest=p, case=setup.name, key=setup.key, alone=alone
+    )
+    prefix = f"walk {number + 1}/{_walks(setup)}, "
+    ended = from_start(
+        setup, 0, stage, at, None, lambda line: say(prefix + line)
+    )
+    return Found([], at, start=number).after(*ended)
 
 
 def _racers(before) -> list[Found]:
@@ -235,9 +266,7 @@ def go_on(setup: Setup, out, at: Checkpoint, say, before=()) -> Found:
             for racer in racers:
                 folder = start_folder(out, racer.start)
                 shutil.rmtree(folder, ignore_errors=True)
-    for number in range(
-        len(found.optima) or at.stage, len(setup.settings.optimize.stages)
-    ):
+    for number in range(found.stage, len(setup.settings.optimize.stages)):
         found = found.after(*_run_stage(setup, number, found.at, out, say))
         _keep(found.at, out)
     return found
@@ -268,12 +297,11 @@ def _walking(setup: Setup, robot: Robot) -> Setup:
     return replace(setup, settings=replace(setup.settings, load=load))
 
 
-def _beside_alone(setup: Setup, design: Design, search) -> Design:
-    """The better of a sole with its walk and of one for the case's own walk."""
-    gait, x = design.problem.gait, design.walk
-    alone = search(in_own_walk(setup))
-    if not alone.step.failed_steps and not alone.step.c > design.step.c:
-        design, x = alone, gait.start
+def _tell_walk(setup: Setup, design: Design, alone: np.ndarray) -> None:
+    """What has become of its walk, and of a sole for the case's own walk."""
+    gait, problem, x = setup.gait, design.problem, design.walk
+    still = setup.sole(problem.deformed(np.append(alone, gait.start)))
+    own = Step.by_exact_law(setup, still, problem.law.penalty)
     robots = gait.robot, gait.at(x)
     before, after = map(gait.numbers, robots)
     times = (robot.bearing for robot in robots)
@@ -283,8 +311,8 @@ def _beside_alone(setup: Setup, design: Design, search) -> Design:
         "walk": {name: [before[name], after[name]] for name in gait.ranges},
         "contact_s": spans,
         "least_limit": float(min(limit.min() for limit in limits)),
-        "c_tr_sole_alone": alone.step.c_tr,
-        "c_rot_sole_alone": alone.step.c_rot,
+        "c_tr_sole_alone": own.c_tr,
+        "c_rot_sole_alone": own.c_rot,
     }
     # The case that is written has the samples that the search had.
     walk = replace(
@@ -293,7 +321,6 @@ def _beside_alone(setup: Setup, design: Design, search) -> Design:
         first_s=float(design.setup.load.times[0]),
     )
     design.setup = _walking(design.setup, walk)
-    return design
 
 
 def from_start(
@@ -309,7 +336,7 @@ def from_start(
         # Finished before an interruption.
         row = at.starts[number]
         done = Optimum(
-            at.p, row["cost"], violation=row["violation"],
+            at.p, row["cost"], violation=row["violation"], stage=number,
             multipliers=at.multipliers, cost_finer=row.get("cost_finer"),
         )  # fmt: skip
         return done, at
@@ -322,7 +349,8 @@ def from_start(
         at = Checkpoint(p=p, latest=p, case=setup.name, key=setup.key)
     best, at = _run_stage(setup, number, at, out, say, problem)
     # Outside of their limits they are compared by how far.
-    if _starts(setup) > 1 and best.violation <= FEASIBLE:
+    compared = block.starts > 1 or setup.gait
+    if compared and best.violation <= FEASIBLE:
         say(f"stage {number + 1}/{len(block.stages)}, on a finer mesh")
         best.cost_finer = problem.cost_on_finer(best.p)
     best.seconds = time.perf_counter() - began
@@ -336,14 +364,7 @@ def from_start(
 
 
 def start_design(problem: ShapeProblem, bounds, bend: int) -> np.ndarray:
-    """The brick (bend 0) or a smooth random bend of it, within the volume.
-
-    Where the walk is free it is the brick in another walk.
-    """
-    if isinstance(problem, WalkProblem):
-        p = first_design(problem, bounds)
-        p[problem.spline.count :] = problem.gait.walk(bend)
-        return p
+    """The brick (bend 0) or a smooth random bend of it, within the volume."""
     if bend == 0:
         return first_design(problem, bounds)
     rng = np.random.default_rng(bend)
@@ -401,9 +422,7 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
             scale = strain_scale(setup, problem, at.p)
             at = replace(at, strain_scale=scale)
         _scale(problem, at)
-    bounds, own = problem.within(block.bounds), problem.spline.count
-    if number + 1 < len(block.stages):  # walks are compared before they move
-        bounds[:, own:] = at.latest[own:]
+    bounds = problem.within(block.bounds)
     approximation = QuasiNewton(problem.metric, at.curvature)
 
     def note(iteration, best):
