@@ -725,6 +725,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ('"c_tr_sole_alone": own.c_tr', '"c_tr_sole_alone": design.step.c_tr'),
         ("range(found.stage, len", "range(len(found.optima), len"),
         ("return -self.stage, *self", "return 0, *self"),
+        ("if keeps and above", "if above"),
     ],
     "drake_exo/soles/pictures.py": [
         ("axis.plot(*(1e3 * zmp[q])", "axis.plot(*(load.zmp[q])"),

@@ -261,14 +261,7 @@ def _front(args) -> int:
             if not points:
                 raise
             stopped = True
-        checks = [
-            Check(
-                SOLVED, not p["failed_steps"], p["failed_steps"], 0, "samples",
-                f"floor {p['floor']:.3f}", "samples that cannot be simulated",
-            )
-            for p in points
-        ]  # fmt: skip
-        verdict = Verdict(tuple(checks))
+        verdict = Verdict(tuple(c for p in points for c in _point_checks(p)))
         summary = {"name": case.name, "front": points} | verdict.summary()
         write_json(out / SUMMARY, summary)
         paper.draw_front(out, {"front": points}, mark=verdict.mark)
@@ -280,6 +273,25 @@ def _front(args) -> int:
     if stopped:
         print(f"stopped by the user after {len(points)} points")
     return code
+
+
+def _point_checks(point: dict) -> list[Check]:
+    """Whether a point of the front simulates, and keeps its floor."""
+    floor, failed = point["floor"], point["failed_steps"]
+    where = f"floor {floor:.3f}"
+    solved = Check(
+        SOLVED, not failed, failed, 0, "samples", where,
+        "samples that cannot be simulated",
+    )  # fmt: skip
+    if failed:
+        return [solved]
+    ratio = point["ratio_rot"]
+    keeps = Check(
+        "bounds.c_rot", ratio >= floor, ratio, floor, "", where,
+        "by the exact law c_rot is this share of the initial shape's, which "
+        "is below the floor", "note",
+    )  # fmt: skip
+    return [solved, keeps]
 
 
 def _strain(args) -> int:

@@ -196,6 +196,12 @@ def test_points_of_a_front_survive_ctrl_c(case, monkeypatch, capsys):
     assert "stopped by the user after 1 points" in capsys.readouterr().out
     told = json.loads((case / "out" / "summary.json").read_text())
     assert told["front"] == [point]
+    # What misses its floor by the exact law is told.
+    assert told["verdict"] == "holds"
+    point["ratio_rot"] = 0.899
+    assert main([*words, str(case / "out"), "--force"]) == 130
+    said = capsys.readouterr().out
+    assert "bounds.c_rot (floor 0.900, 0.899, limit 0.9)" in said
 
 
 def test_ctrl_c_says_how_an_optimisation_goes_on(case, monkeypatch, capsys):

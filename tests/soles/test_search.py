@@ -631,7 +631,7 @@ def test_each_floor_starts_from_the_one_below(monkeypatch):
     """c_rot above 1.01 of it, c_tr alone; ratios to the brick's."""
     # One sample: of a load that stays, nodes on the cone may stick or slip.
     case = Case.from_text(EXAMPLE.replace("samples: 5", "samples: 1"))
-    calls, floors = [], []
+    calls, floors, ends = [], [], [0.99, 0.99, 1.01]
     stages = (
         Stage((4, 3, 2), 5, 1e-4, 0.2, 3),
         Stage((3, 2, 1), 4, 5e-5, 0.2, 4),
@@ -641,7 +641,7 @@ def test_each_floor_starts_from_the_one_below(monkeypatch):
         calls.append((problem, p, iterations, more["hessian_approximation"]))
         if "c_rot" in problem.limited:
             floors.append(problem.limited["c_rot"].keywords["least"])
-        return Optimum(p * 0.99, error=0.25, violation=0.125)
+        return Optimum(p * ends[len(calls) - 1], error=0.25, violation=0.125)
 
     monkeypatch.setattr(search, "minimise", minimise)
     points = search.pareto_front(case, [0.9, 0.6], None, stages)
@@ -657,7 +657,7 @@ def test_each_floor_starts_from_the_one_below(monkeypatch):
     np.testing.assert_allclose(floors, [0.606 * c_rot, 0.909 * c_rot])
     assert len(own[0].mesh.tets) == 144 and len(low[0].mesh.tets) == 36
     # By the exact law, on the mesh of the points.
-    for point, factor in zip(points, (0.99, 0.99**2), strict=True):
+    for point, factor in zip(points, (0.99, 0.99 * 1.01), strict=True):
         p = own[1] * 0.99 * factor
         np.testing.assert_allclose(point["coefficients"], p)
         mesh = low[0].deformed(p)
@@ -672,3 +672,12 @@ def test_each_floor_starts_from_the_one_below(monkeypatch):
         assert point["ratio_rot"] == pytest.approx(ratio, rel=1e-6)
         assert point["optimality_error"] == 0.25
         assert (point["violation"], point["failed_steps"]) == (0.125, 0)
+    # A thinner one is softer: where it keeps its floor, the lower one as well.
+    for lower, replaced in ((0.6, True), (2.0, False)):
+        calls.clear()
+        ends[2] = 0.98
+        below, above = search.pareto_front(case, [lower, 3.0], None, stages)
+        assert (below["floor"], above["floor"]) == (lower, 3.0)
+        is_same = below["coefficients"] is above["coefficients"]
+        assert is_same is replaced
+        assert (below["c_tr"] <= above["c_tr"]) is replaced

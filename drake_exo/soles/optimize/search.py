@@ -594,6 +594,12 @@ def pareto_front(
         best = found(problem, p, stages[1], title, approximation)
         points.append(_point_of_front(setup, problem, best, floor, base))
         p = best.p
+    # What keeps a higher floor keeps a lower one, too.
+    for place in reversed(range(len(points) - 1)):
+        here, above = points[place : place + 2]
+        keeps = above["ratio_rot"] >= here["floor"]
+        if keeps and above["ratio_tr"] < here["ratio_tr"]:
+            points[place] = above | {"floor": here["floor"]}
     return points
 
 
