@@ -357,7 +357,7 @@ def reduce_sole(
         )
     samples = Samples(*samples)
     if spheres < 1:
-        raise InputError(f"{spheres} spheres bear nothing; take 1 or more")
+        raise InputError(f"{spheres} spheres bear nothing; take 2 or more")
     columns = [0, 1, 3] if planar else [0, 1, 2, 3]
     unknowns = spheres * len(columns) + 1
     known = len(samples.force)
