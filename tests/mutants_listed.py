@@ -719,13 +719,14 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("step.c_rot / base.c_rot", "step.c_rot"),
         ("_AIM * floor * problem.first.c_rot", "_AIM * floor"),
         (
-            "np.append(alone, setup.gait.walk(number))",
-            "np.append(alone, setup.gait.start)",
+            "np.append(at.alone, setup.gait.walk(number))",
+            "np.append(at.alone, setup.gait.start)",
         ),
         ('"c_tr_sole_alone": own.c_tr', '"c_tr_sole_alone": design.step.c_tr'),
         ("range(found.stage, len", "range(len(found.optima), len"),
         ("return -self.stage, *self", "return 0, *self"),
-        ("if keeps and above", "if above"),
+        ("if keeps and not", "if not"),
+        ("return not one.verdict().holds, one", "return one"),
     ],
     "drake_exo/soles/pictures.py": [
         ("axis.plot(*(1e3 * zmp[q])", "axis.plot(*(load.zmp[q])"),

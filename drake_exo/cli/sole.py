@@ -49,7 +49,7 @@ def add_arguments(sole: ArgumentParser) -> None:
     _add_limits(parser, ("all", "none"))
     _add_iterations(parser)
     add_accept(parser)
-    _add_jobs(parser, "starts searched at a time")
+    _add_jobs(parser, "starts, or walks, searched at a time")
     parser = job("study", _study, "the paper's five cases (Table 2)")
     parser.add_argument(
         "--coarse", action="store_true", help="two coarse stages, two minutes"

@@ -50,6 +50,9 @@ def test_walks_to_begin_with_differ_and_keep_the_limits(gait):
         assert kept(gait, found[k])
         assert np.abs(found[k] - found[k - 1]).max() > 0.1
         np.testing.assert_array_equal(found[k], gait.walk(k))
+    # One number's middle is the own walk again.
+    single = Gait(Robot(free=("double_support",)), 0.8)
+    assert len({float(single.walk(k)[0]) for k in range(4)}) == 4
     slower = Gait(Robot(free=("step_time",)), 1e-3)  # slips, however slow
     np.testing.assert_array_equal(slower.walk(2), slower.start)
 

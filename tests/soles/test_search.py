@@ -519,35 +519,48 @@ def _walking(free, optimize=""):
     )
 
 
-def test_what_a_walk_has_become_is_told(monkeypatch):
-    """Beside c of the sole that was found for the case's own walk."""
+@pytest.mark.parametrize(
+    ("c", "holds", "is_alone"),
+    [(4.0, True, True), (6.0, True, False), (6.0, False, False),
+     (4.0, False, False), (np.nan, False, False)],
+)  # fmt: skip
+def test_the_better_of_a_sole_with_its_walk_and_alone(
+    c, holds, is_alone, monkeypatch
+):
+    """Told beside c of the sole that was found for the case's own walk."""
     setup, asked = _walking("[step_length, step_time]"), []
     problem = stage_problem(setup, setup.settings.optimize.stages[0])
     x = setup.gait.start + np.array([0.0, -0.2])
-    alone = np.full(problem.spline.count, 0.9)
+    coefficients = np.full(problem.spline.count, 0.9)
 
-    def own(*given):
-        asked.append(given)
-        return SimpleNamespace(c_tr=7.0, c_rot=2.0)
+    def design(c, holds, walk):
+        return SimpleNamespace(
+            problem=problem, walk=walk,
+            setup=replace(setup, load=setup.gait.load(walk)),
+            step=SimpleNamespace(c=c, c_tr=c + 1, c_rot=1.0),
+            verdict=lambda: SimpleNamespace(holds=holds),
+        )  # fmt: skip
 
-    monkeypatch.setattr(search.Step, "by_exact_law", own)
-    best = SimpleNamespace(
-        problem=problem, walk=x, setup=replace(setup, load=setup.gait.load(x))
-    )
-    search._tell_walk(setup, best, alone)
-    ((still, sole, penalty),) = asked
-    assert still is setup and penalty == problem.law.penalty
-    wanted = problem.deformed(np.append(alone, x))
-    np.testing.assert_array_equal(sole.mesh.nodes, wanted.nodes)
-    assert best.gait["c_tr_sole_alone"] == 7.0
-    assert best.gait["c_rot_sole_alone"] == 2.0
+    def alone(own, own_problem, at, optima, seconds):
+        assert own is setup and own_problem is problem
+        shape, walk = np.split(at.p, [problem.spline.count])
+        asked.append(shape)
+        return design(c, holds, walk)
+
+    monkeypatch.setattr(search, "verified", alone)
+    at = Checkpoint(alone=coefficients)
+    best = search._with_walk(setup, design(5.0, True, x), at)
+    np.testing.assert_array_equal(asked, [coefficients])
+    assert best.step.c == (4.0 if is_alone else 5.0)
     length, time = best.gait["walk"].values()
     assert length == [0.2633, pytest.approx(0.2633)]
-    assert time == [1.0, pytest.approx(0.9)]
+    assert time == [1.0, pytest.approx(1.0 if is_alone else 0.9)]
     bears = best.gait["contact_s"]
     assert bears[0] - bears[1] == pytest.approx(time[0] - time[1])
-    limits = setup.gait.limits(x).values()
-    assert best.gait["least_limit"] == min(v.min() for v in limits)
+    np.testing.assert_equal(best.gait["c_tr_sole_alone"], c + 1)
+    assert best.gait["c_rot_sole_alone"] == 1.0
+    limits = setup.gait.limits(setup.gait.start if is_alone else x)
+    assert best.gait["least_limit"] == min(v.min() for v in limits.values())
     pattern = best.setup.settings.load.pattern
     assert not pattern.free and pattern.step_time_s == time[1]
     # What is written has the samples that were simulated.
@@ -556,6 +569,9 @@ def test_what_a_walk_has_become_is_told(monkeypatch):
             getattr(x, name) for x in (pattern.load(), best.setup.load)
         )
         np.testing.assert_allclose(written, own, atol=1e-9)
+    # Outside of its limits itself, what holds is before it.
+    best = search._with_walk(setup, design(1.0, False, x), at)
+    assert best.step.c == (c if holds else 1.0)
 
 
 def test_walks_begin_with_the_sole_for_the_case_s_own(monkeypatch):
@@ -567,6 +583,10 @@ def test_walks_begin_with_the_sole_for_the_case_s_own(monkeypatch):
     )
     stages, own = setup.settings.optimize.stages, setup.gait.start
     given, told, chosen = [], [], setup.gait.walk(5)
+
+    def told_of(*row):
+        told.append(row)
+        return row[1]
 
     def fake(problem, p, bounds, *_, **__):
         shape, walk = np.split(p, [problem.spline.count])
@@ -585,7 +605,7 @@ def test_walks_begin_with_the_sole_for_the_case_s_own(monkeypatch):
     monkeypatch.setattr(search, "strain_scale", lambda *_: 1.0)
     monkeypatch.setattr(search, "settle", lambda problem, p: p)
     monkeypatch.setattr(search, "verified", done)
-    monkeypatch.setattr(search, "_tell_walk", lambda *rest: told.append(rest))
+    monkeypatch.setattr(search, "_with_walk", told_of)
     monkeypatch.setattr(
         search.ShapeProblem, "cost_on_finer", lambda self, p: None
     )
@@ -604,7 +624,7 @@ def test_walks_begin_with_the_sole_for_the_case_s_own(monkeypatch):
     np.testing.assert_allclose(design.p, np.append(alone - 0.02, chosen))
     assert design.stages == [1, 2] and len(design.at.starts) == 8
     np.testing.assert_array_equal(design.at.alone, alone)
-    assert told[0][0] is setup and told[0][2] is design.at.alone
+    assert told == [(setup, design, design.at)]
     assert sum("walk 6/8, stage 2/3" in line for line in said) == 1
     # One that has come to its walk goes on there; before, with the sole.
     given.clear()
@@ -619,6 +639,13 @@ def test_walks_begin_with_the_sole_for_the_case_s_own(monkeypatch):
     setup.optimize(resume=at)
     assert [row[0] for row in given] == [2, *[1] * 8, 2]
     np.testing.assert_array_equal(given[0][1], alone)
+    # What the sole alone has ended with is not sought again.
+    given.clear()
+    setup.optimize(resume=replace(at, alone=alone))
+    assert [row[0] for row in given] == [*[1] * 8, 2]
+    np.testing.assert_array_equal(given[0][1], np.append(alone, own))
+    with pytest.raises(InputError, match=f"{len(alone) - 1} coefficients"):
+        setup.optimize(resume=replace(design.at, alone=alone[1:]))
     with pytest.raises(InputError, match="of other settings"):
         still.optimize(resume=design.at)
     assert len(own) == 1

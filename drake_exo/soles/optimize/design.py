@@ -70,10 +70,11 @@ class Design:
             with the sole, its numbers, from 0 to 1 in their ranges, (P,).
         step: The design through the step, from a cold start.
         first: The initial shape likewise.
-        optima: Outcome of every stage.
+        optima: Outcome of every stage; where a walk was sought of those that
+            moved it.
         stages_seconds: What each took.
-        starts: Cost and violation that every start has led to, after which
-            stage, and the cost on a finer mesh.
+        starts: Cost and violation that every start, or walk that was tried,
+            has led to, after which stage, and the cost on a finer mesh.
         seconds: What all of it took.
         gait: The walk that was sought with it: numbers before and after.
     """

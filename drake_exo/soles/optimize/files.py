@@ -36,7 +36,8 @@ class Checkpoint:
         strain_scale: Of the design that the stage began with, see
             `search.strain_scale`.
         starts: Of a start the cost, also on a finer mesh, and violation after
-            every stage; of a run those that each of its starts has led to.
+            every stage; of a run those that each of its starts, or walks, has
+            led to.
         alone: Of a walk that is sought the coefficients of the sole that was
             found for the case's own one (k,).
         begun: Checkpoints of starts that were interrupted, None for those
@@ -72,6 +73,7 @@ class Checkpoint:
             and 0.0 < self.strain_scale < _LARGEST
             and (self.barrier is None or 0.0 < self.barrier < _LARGEST)
             and all((np.abs(x) < _LARGEST).all() for x in numbers)
+            and (self.alone is None or self.alone.ndim == 1)
         )
         if not sound:
             raise ValueError("not a checkpoint")
@@ -98,7 +100,14 @@ class Checkpoint:
         if len(self.p) != count:
             raise InputError(
                 f"resume: the checkpoint has {len(self.p)} coefficients, "
-                f"the case {count}; it is of another case"
+                f"the case {count}; it is of another case, or of an earlier "
+                "version"
+            )
+        if self.alone is not None and len(self.alone) != problem.spline.count:
+            raise InputError(
+                f"resume: the checkpoint's sole alone has {len(self.alone)} "
+                f"coefficients, the case {problem.spline.count}; it is of "
+                "another case"
             )
         if self.multipliers is not None and len(self.multipliers) != len(names):
             raise InputError(
@@ -142,12 +151,13 @@ def read_checkpoint(path: Path) -> Checkpoint:
         begun = tuple(begun.get(k) for k in range(count))
         return Checkpoint(begun=begun, case=known.case, key=known.key)
     remedy = "give the folder of an interrupted run"
-    data = {"alone": None} | read_json(file, remedy)
+    data = read_json(file, remedy)
 
     def optional(key, kind):
         return None if data[key] is None else kind(data[key])
 
     try:
+        data = {"alone": None} | data
         p = np.array(data["coefficients"], dtype=float)
         B = np.zeros((len(p), len(p)))
         B[np.tril_indices(len(p))] = data["curvature"]

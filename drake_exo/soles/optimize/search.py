@@ -139,10 +139,7 @@ def optimise(
             jobs, pool = logged(jobs, Path(logs)), Processes(at_once)
         with pool:
             ended = run_jobs(jobs, pool, end, Heard(say))
-    found = ended[jobs[-1].name].value
-    design = finished(setup, found, say)
-    if setup.gait:
-        _tell_walk(setup, design, found.at.alone)
+    design = finished(setup, ended[jobs[-1].name].value, say)
     design.seconds = time.perf_counter() - began
     return design
 
@@ -182,22 +179,21 @@ def search_jobs(
                 for place, at_start in enumerate(begun)
             ]  # fmt: skip
             begun = begun[: (len(begun) + 1) // 2]
+    if setup.gait is None:
+        return [*jobs, add("last stage", go_on, jobs, at=at)]
     if at.alone is None:
-        jobs.append(add("last stage", go_on, jobs, at=at))
-    if setup.gait:
+        jobs.append(add("last stage", go_on, jobs, at=at, is_alone=True))
+    walks, count = [], block.starts * _WALKS
+    if at.alone is None or len(at.p) == len(at.alone):
         walks = [
-            add(f"walk {number + 1}", in_walk, jobs[-1:], setup=setup,
-                number=number)
-            for number in range(_walks(setup) if jobs else 0)
+            add(
+                f"walk {number + 1}", in_walk, jobs[-1:], setup=setup, at=at,
+                number=number, count=count,
+            )
+            for number in range(count)
         ]  # fmt: skip
-        last = add("with its walk", go_on, walks, setup=setup, at=at)
-        jobs += [*walks, last]
-    return jobs
-
-
-def _walks(setup: Setup) -> int:
-    """How many are tried."""
-    return setup.settings.optimize.starts * _WALKS
+    last = add("with its walk", go_on, walks, setup=setup, at=at)
+    return [*jobs, *walks, last]
 
 
 def race(
@@ -229,22 +225,26 @@ def race(
     return racer.after(*ended)
 
 
-def in_walk(setup: Setup, out, number: int, say, before) -> Found:
+def in_walk(
+    setup: Setup, out, at: Checkpoint, number: int, count: int, say, before=()
+) -> Found:
     """The last stage but one, from the sole alone in one of several walks.
 
-    Sole and walk move together. `before` is what the sole alone has come to;
-    nothing is kept in `out`.
+    Sole and walk move together. `before` is what the sole alone has come to,
+    or else `at` has it. Nothing is kept in `out`.
     """
-    (alone,) = (found.at.p for found in before.values())
+    if before:
+        (found,) = before.values()
+        at = found.at
     stage = max(len(setup.settings.optimize.stages) - 2, 0)
-    p = np.append(alone, setup.gait.walk(number))
+    p = np.append(at.alone, setup.gait.walk(number))
     at = Checkpoint(
-        stage, p=p, latest=p, case=setup.name, key=setup.key, alone=alone
+        stage, p=p, latest=p, case=setup.name, key=setup.key, alone=at.alone
     )
-    prefix = f"walk {number + 1}/{_walks(setup)}, "
     ended = from_start(
-        setup, 0, stage, at, None, lambda line: say(prefix + line)
-    )
+        setup, 0, stage, at, None,
+        lambda line: say(f"walk {number + 1}/{count}, {line}"),
+    )  # fmt: skip
     return Found([], at, start=number).after(*ended)
 
 
@@ -253,8 +253,14 @@ def _racers(before) -> list[Found]:
     return list({racer.start: racer for racer in before.values()}.values())
 
 
-def go_on(setup: Setup, out, at: Checkpoint, say, before=()) -> Found:
-    """The stages that are left to a checkpoint, or to the best of a race."""
+def go_on(
+    setup: Setup, out, at: Checkpoint, say, before=(), is_alone: bool = False
+) -> Found:
+    """The stages that are left to a checkpoint, or to the best of a race.
+
+    What they come to is the sole alone of a walk that is sought, `is_alone`.
+    """
+    prefix = "sole alone, " if is_alone else ""
     found = Found([], at)
     if before:
         racers = _racers(before)
@@ -267,7 +273,13 @@ def go_on(setup: Setup, out, at: Checkpoint, say, before=()) -> Found:
                 folder = start_folder(out, racer.start)
                 shutil.rmtree(folder, ignore_errors=True)
     for number in range(found.stage, len(setup.settings.optimize.stages)):
-        found = found.after(*_run_stage(setup, number, found.at, out, say))
+        ended = _run_stage(
+            setup, number, found.at, out, lambda line: say(prefix + line)
+        )
+        found = found.after(*ended)
+        _keep(found.at, out)
+    if is_alone:
+        found.at = replace(found.at, alone=found.at.p)
         _keep(found.at, out)
     return found
 
@@ -282,6 +294,8 @@ def finished(setup: Setup, found: Found, say) -> Design:
         setup, problem, found.at, found.optima,
         [best.seconds for best in found.optima],
     )  # fmt: skip
+    if setup.gait:
+        design = _with_walk(setup, design, found.at)
     design.seconds = found.seconds + time.perf_counter() - began
     return design
 
@@ -297,11 +311,22 @@ def _walking(setup: Setup, robot: Robot) -> Setup:
     return replace(setup, settings=replace(setup.settings, load=load))
 
 
-def _tell_walk(setup: Setup, design: Design, alone: np.ndarray) -> None:
-    """What has become of its walk, and of a sole for the case's own walk."""
-    gait, problem, x = setup.gait, design.problem, design.walk
-    still = setup.sole(problem.deformed(np.append(alone, gait.start)))
-    own = Step.by_exact_law(setup, still, problem.law.penalty)
+def _with_walk(setup: Setup, design: Design, at: Checkpoint) -> Design:
+    """Told what has become of its walk, and of the sole alone.
+
+    That is the design where it is no worse: within its limits first, then by c.
+    """
+    gait = setup.gait
+    p = np.append(at.alone, gait.start)
+    alone = verified(setup, design.problem, replace(at, p=p), [], [])
+    own = alone.step
+
+    def rank(one: Design):
+        return not one.verdict().holds, one.step.c
+
+    if rank(alone) <= rank(design):
+        design = alone
+    x = design.walk
     robots = gait.robot, gait.at(x)
     before, after = map(gait.numbers, robots)
     times = (robot.bearing for robot in robots)
@@ -321,6 +346,7 @@ def _tell_walk(setup: Setup, design: Design, alone: np.ndarray) -> None:
         first_s=float(design.setup.load.times[0]),
     )
     design.setup = _walking(design.setup, walk)
+    return design
 
 
 def from_start(
@@ -594,12 +620,12 @@ def pareto_front(
         best = found(problem, p, stages[1], title, approximation)
         points.append(_point_of_front(setup, problem, best, floor, base))
         p = best.p
-    # What keeps a higher floor keeps a lower one, too.
-    for place in reversed(range(len(points) - 1)):
-        here, above = points[place : place + 2]
-        keeps = above["ratio_rot"] >= here["floor"]
-        if keeps and above["ratio_tr"] < here["ratio_tr"]:
-            points[place] = above | {"floor": here["floor"]}
+        # What keeps a higher floor keeps a lower one, too.
+        for place in reversed(range(len(points) - 1)):
+            here, above = points[place : place + 2]
+            keeps = above["ratio_rot"] >= here["floor"]
+            if keeps and not above["ratio_tr"] >= here["ratio_tr"]:
+                points[place] = above | {"floor": here["floor"]}
     return points
 
 
