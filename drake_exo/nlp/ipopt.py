@@ -384,8 +384,11 @@ def _relaxed(program, y, options, on_iterate, start, stop):
 # grid is fine, entries differ by 1e11; with the usual pivot tolerance of 1e-6
 # MUMPS counts negative eigenvalues wrongly there, and IPOPT mends a curvature
 # that is none: objectives rose a hundredfold and came back in fifty iterations.
+# Multipliers by least squares, which the first step finds as well, cost it a
+# factor that fills up: a minute, or hours, of a rise on a sole's law.
 _NEAR = {
     "mumps_pivtol": 1e-3,
+    "constr_mult_init_max": 0.0,
     "mu_strategy": "monotone",
     "mu_init": 1e-5,
     "bound_push": 1e-6,

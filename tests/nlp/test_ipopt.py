@@ -229,6 +229,25 @@ def test_a_start_near_a_solution_stays_near():
     assert detour(options.near_solution()) < 0.1 * detour(options)
 
 
+def test_near_a_solution_no_multipliers_are_sought_first(monkeypatch):
+    """On a fine grid their factor costs more than all of the solve."""
+    program, _ = valleys(radius=1.2)
+    options, first = SolverOptions(tolerance=1e-9), []
+    start = ipopt.solve(SparseProgram(program), np.zeros(6), options)
+    own = SparseProgram.hessian
+
+    def hessian(self, y, multipliers, factor):
+        first.append(np.abs(multipliers).max())
+        return own(self, y, multipliers, factor)
+
+    monkeypatch.setattr(SparseProgram, "hessian", hessian)
+    for kind, begins in ((options, 1e-3), (options.near_solution(), 0.0)):
+        first.clear()
+        ipopt.solve(SparseProgram(program), start.raw_values() + 1e-4, kind)
+        assert (first[0] > begins) if begins else (first[0] == 0.0)
+        assert max(first) > 1e-3
+
+
 def test_a_program_in_other_units_is_the_same_program():
     """Costs, constraints and bounds at z = x / scale, of every kind."""
     prog = MathematicalProgram()
