@@ -431,7 +431,7 @@ def run(campaign: Path, seed: int, mistakes) -> dict:
             p = Plant(campaign, scratch, study, seed)
             mistake(p)
             row["said"][mistake.__name__] = judge(p.study, scratch, campaign)
-    for read in (recording.read_c3d, mats.read_surface, mats.read_novel_asc):
+    for read in (recording.read_c3d, mats.read_novel_asc):
         read.cache_clear()
     return row
 
