@@ -333,7 +333,7 @@ def line(row: dict) -> str:
         f"c_tr {row['c_tr']:.3g} (×{row['ratio_tr']:.3f}), "
         f"c_rot {row['c_rot']:.3g} (×{row['ratio_rot']:.3f}), "
         f"{row['volume_cm3']:.0f} cm³, "
-        f"{'optimal' if row['optimal'] else row.get('status', '')}, "
+        f"{'optimal' if row['optimal'] else row.get('status', 'sole alone')}, "
         f"{'stable' if row['stable'] else 'unstable'}, largest strain "
         f"{row['max_strain']:.2f}, {row['seconds']:.0f} s; held by "
         f"{', '.join(row.get('active', ())) or 'no limit'}"
