@@ -117,7 +117,7 @@ def test_too_few_samples_are_refused():
     )  # fmt: skip
     with pytest.raises(InputError, match="fewer spheres"):
         fit(few, 3, False)
-    with pytest.raises(InputError, match="take 1 or more"):
+    with pytest.raises(InputError, match="take 2 or more"):
         fit(few, 0, False)
     for other in ("results", whole):  # a folder or a step, not what it says
         with pytest.raises(InputError, match="sole_samples says"):
