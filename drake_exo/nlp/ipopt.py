@@ -385,7 +385,7 @@ def _relaxed(program, y, options, on_iterate, start, stop):
 # MUMPS counts negative eigenvalues wrongly there, and IPOPT mends a curvature
 # that is none: objectives rose a hundredfold and came back in fifty iterations.
 # Multipliers by least squares, which the first step finds as well, cost it a
-# factor that fills up: a minute of a rise on a sole's law, over five of another.
+# factor that fills up: a minute of a rise on a sole's law, or more than five.
 _NEAR = {
     "mumps_pivtol": 1e-3,
     "constr_mult_init_max": 0.0,
