@@ -759,6 +759,7 @@ def test_in_python_nothing_is_solved_without_a_warning(folder, monkeypatch):
     solve()
 
 
+@pytest.mark.slow
 def test_a_device_that_nobody_measured_ends_before_anything_is_solved(
     folder, capsys
 ):

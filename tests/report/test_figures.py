@@ -208,6 +208,7 @@ def test_normal_forces_of_several_runs_where_there_are_any(trials, found):
     assert legend == ["measured", "C1", "C2"]
 
 
+@pytest.mark.slow
 def test_cuffs_of_every_run_have_a_row_whichever_comes_first(trials, found):
     thigh = found[0].cuffs["thigh"]
     less = [replace(found[0], cuffs={"thigh": thigh})]

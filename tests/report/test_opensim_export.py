@@ -504,6 +504,7 @@ def test_what_cannot_be_carried_over_is_refused(case, tmp_path):
         one.export("b.osim")
 
 
+@pytest.mark.slow
 def test_toes_that_the_model_holds_are_refused(case):
     one = case("two legs")
     text = one.osim.read_text()

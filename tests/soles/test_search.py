@@ -519,6 +519,7 @@ def _walking(free, optimize=""):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("c", "holds", "is_alone"),
     [(4.0, True, True), (6.0, True, False), (6.0, False, False),
@@ -574,6 +575,7 @@ def test_the_better_of_a_sole_with_its_walk_and_alone(
     assert best.step.c == (c if holds else 1.0)
 
 
+@pytest.mark.slow
 def test_walks_begin_with_the_sole_for_the_case_s_own(monkeypatch):
     """All starts in that; then several walks, the best through the last."""
     stage = "{samples: 9, iterations: 3}"

@@ -41,6 +41,7 @@ def test_brick_of_even_divisions_is_symmetric():
     np.testing.assert_array_equal(key(centres), key(centres * [1, -1, 1]))
 
 
+@pytest.mark.slow
 def test_halved_elements_fill_the_same_body():
     mesh = brick((0.2, 0.1, 0.03), (4, 3, 2))
     moved = mesh.nodes + 0.1 * np.sin(40 * mesh.nodes[:, ::-1]) * [
