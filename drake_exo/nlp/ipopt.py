@@ -262,14 +262,20 @@ def solve(
     exact = problem.exact_hessian
     stop = threading.Event()
 
+    def tell(iterate):
+        if iterate.x is not None:
+            problem.program.show(iterate.x)
+        if on_iterate is not None:
+            on_iterate(iterate)
+
     def relaxed(program, y):
-        return _relaxed(program, y, options, on_iterate, start, stop)
+        return _relaxed(program, y, options, tell, start, stop)
 
     with stop_on_interrupt(stop):
         for strategy in options.strategies:
             if strategy == "patient" and binding:
                 continue  # long, where something is known already
-            watch = _Watch(problem, strategy, start, on_iterate, stop)
+            watch = _Watch(problem, strategy, start, tell, stop)
             watches.append(watch)
             problem.use_exact_hessian(exact or strategy == "exact")
             try:

@@ -118,9 +118,10 @@ class BatchedProgram:
     """A MathematicalProgram together with what is known of its structure.
 
     Attributes:
-        prog: the program; anything may be added to it directly, options for
-            IPOPT too, and what is not in a batch is evaluated binding by
-            binding.
+        prog: the program; anything that IPOPT can solve may be added to it
+            directly, its options too, and what is not in a batch is evaluated
+            binding by binding. Visualization callbacks are called once for
+            each iteration.
         constraints: batches lower <= f(x) <= upper.
         residuals: batches whose cost is half the sum of squares of f(x).
         labelled: kind -> indices of variables that `label` has named.
@@ -312,6 +313,14 @@ class BatchedProgram:
     def loose_costs(self) -> list:
         """Generic costs that belong to no batch."""
         return self._uncovered(nonlinear_costs(self.prog))
+
+    def show(self, x: np.ndarray) -> None:
+        """Call its visualization callbacks at variables x (num_vars,)."""
+        bindings = self.prog.visualization_callbacks()
+        for binding, index in zip(
+            bindings, _indices(self.prog, bindings), strict=True
+        ):
+            binding.evaluator().Eval(x[index])
 
     def quadratic_cost(self) -> tuple[sp.csr_array, np.ndarray, float]:
         """All linear and quadratic costs as 1/2 x^T Q x + b^T x + c.

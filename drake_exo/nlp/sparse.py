@@ -12,7 +12,9 @@ from collections import defaultdict
 
 import numpy as np
 import scipy.sparse as sp
+from pydrake.solvers import IpoptSolver
 
+from drake_exo.errors import InputError
 from drake_exo.nlp.program import (
     Batch,
     BatchedProgram,
@@ -46,6 +48,9 @@ class SparseProgram:
         residual_blocks: least-squares terms of the cost.
         seconds: time spent by part, filled while solving.
         evaluations: calls by part.
+
+    Raises:
+        InputError: the program holds what IPOPT cannot solve.
     """
 
     def __init__(
@@ -54,6 +59,10 @@ class SparseProgram:
         substitutions: tuple[Substitution, ...] = (),
         exact_hessian: bool = False,
     ):
+        # Binary variables would be let go, complementarity not be seen.
+        why = IpoptSolver().ExplainUnsatisfiedProgramAttributes(program.prog)
+        if why:
+            raise InputError(f"{why.rstrip('.')}; take out what was added")
         self.program = program
         self.exact_hessian = exact_hessian
         self.seconds: dict[str, float] = defaultdict(float)

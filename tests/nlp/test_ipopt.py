@@ -49,6 +49,43 @@ def test_options_of_ipopt_that_the_program_holds_count():
             ipopt.solve(SparseProgram(program), np.zeros(6))
 
 
+@pytest.mark.parametrize(
+    ("add", "what"),
+    [
+        (lambda prog, x: prog.NewBinaryVariables(1), "BinaryVariable"),
+        (
+            lambda prog, x: prog.AddLinearComplementarityConstraint(
+                np.eye(6), np.full(6, -1.0), x.ravel()
+            ),
+            "LinearComplementarityConstraint",
+        ),
+    ],
+)
+def test_what_ipopt_cannot_solve_is_refused(add, what):
+    """Left in, a binary variable is 0.3 and complementarity is not seen."""
+    program, x = valleys()
+    add(program.prog, x)
+    with pytest.raises(InputError, match=rf"{what}\}}; take out what was"):
+        SparseProgram(program)
+
+
+def test_visualization_callbacks_are_called_at_each_iteration():
+    program, x = valleys()
+    told, shown = [], []
+    last = x.ravel()[::-1]
+    program.prog.AddVisualizationCallback(
+        lambda values: shown.append(values.copy()), last
+    )
+    index = program.indices(last)
+    ipopt.solve(
+        SparseProgram(program),
+        np.zeros(6),
+        on_iterate=lambda iterate: told.append(iterate.x[index]),
+    )
+    assert len(shown) > 2
+    np.testing.assert_array_equal(shown, told)
+
+
 def test_a_constraint_that_a_user_adds_has_curvature():
     """The point of a disc that is nearest to one outside."""
     program = BatchedProgram()
