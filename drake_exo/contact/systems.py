@@ -414,6 +414,11 @@ def FootGroundContact_(T):
     return Impl
 
 
+def _check_bushings(parameters: Mapping[str, BushingParameters]) -> None:
+    for name, values in parameters.items():
+        check_fields(values, f"bushing '{name}'")
+
+
 class _Bushings:
     """What `HumanExoskeletonBushings_` does for every scalar type."""
 
@@ -424,8 +429,7 @@ class _Bushings:
                 f"pairs of links for {', '.join(pairs) or 'nothing'}; "
                 "name the same"
             )
-        for name, values in parameters.items():
-            check_fields(values, f"bushing '{name}'")
+        _check_bushings(parameters)
         self._T = T
         self._pairs = {name: tuple(pairs[name]) for name in parameters}
         self._parameters = dict(parameters)
@@ -460,13 +464,15 @@ class _Bushings:
         """Writes parameters into a context.
 
         Raises:
-            InputError: the names are not those of the construction.
+            InputError: the names are not those of the construction, or a value
+                is out of its bounds.
         """
         if set(parameters) != set(self._parameters):
             raise InputError(
                 f"bushings here are {', '.join(self._parameters)}, "
                 f"not {', '.join(parameters)}"
             )
+        _check_bushings(parameters)
         for i, name in enumerate(self._parameters):
             context.get_mutable_numeric_parameter(i).SetFromVector(
                 np.array(astuple(parameters[name]))

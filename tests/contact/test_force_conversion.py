@@ -228,6 +228,12 @@ def test_bad_parameters_are_refused():
             {"shank": (body, body)},
             {"shank": BushingParameters(normal_damping=-1.0)},
         )
+    usual = {"shank": BushingParameters()}
+    cuffs = HumanExoskeletonBushings({"shank": (body, body)}, usual)
+    context = cuffs.CreateDefaultContext()
+    with pytest.raises(InputError, match="'shank': slip is nan, but must be"):
+        cuffs.set_parameters(context, {"shank": BushingParameters(slip=np.nan)})
+    assert cuffs.parameters(context) == usual
     with pytest.raises(InputError, match="name the same"):
         HumanExoskeletonBushings({"shank": (body, body)}, {})
 
