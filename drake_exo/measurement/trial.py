@@ -138,6 +138,8 @@ class Trial:
                         "give an array of them"
                     )
                 object.__setattr__(self, name, fixed(numbers))
+        for name in ("feet", "cuffs", "applied", "provenance"):
+            object.__setattr__(self, name, dict(getattr(self, name)))
         columns = {
             **dict.fromkeys(("q", "v", "a", "jerk"), len(self.coordinates)),
             "moments": self.coordinates.num_joints,

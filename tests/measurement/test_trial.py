@@ -305,3 +305,11 @@ def test_what_is_read_from_a_trial_does_not_change_it(whole):
             signal *= 2.0
     given[:] = 0.0  # one array may serve for many trials
     np.testing.assert_array_equal(trial.q, whole.q)
+
+
+def test_trials_made_of_each_other_have_forces_of_their_own(whole):
+    without = replace(whole, name="without mats")
+    for name in ("feet", "cuffs", "applied", "provenance"):
+        assert getattr(without, name) is not getattr(whole, name)
+    without.cuffs.clear()
+    assert list(whole.cuffs) == ["thigh", "shank"]
