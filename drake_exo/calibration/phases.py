@@ -254,7 +254,13 @@ def check_has_cuffs(model: Model) -> None:
 
 def check_knows_cuffs(contact: ContactModel, model: Model) -> None:
     """Raises InputError if the model has cuffs that the contact lacks."""
-    if not set(model.cuffs) <= set(contact.bushings):
+    unknown = [cuff for cuff in model.cuffs if cuff not in contact.bushings]
+    if unknown and contact.bushings:
+        raise InputError(
+            f"the calibration knows the cuffs {', '.join(contact.bushings)}, "
+            f"not the model's {', '.join(unknown)}; calibrate with this model"
+        )
+    if unknown:
         raise InputError(
             "the calibration holds no interaction parameters; calibrate the "
             "cuffs, too (--phase interaction)"
