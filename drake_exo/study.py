@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from copy import deepcopy
+from copy import copy, deepcopy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -511,7 +511,7 @@ class Calibration(_Solved):
 
     Attributes:
         phase: "foot-ground" or "interaction".
-        study: that was calibrated.
+        study: that was calibrated, as it was then.
         result: of the solve; `result.problem.program.prog` is Drake's
             MathematicalProgram.
 
@@ -545,10 +545,10 @@ class Calibration(_Solved):
         until `solution.unseal()`.
         """
         self.solution.check()
-        copy = self.result.contact.with_values({})  # who changes it may
+        own = self.result.contact.with_values({})  # who changes it may
         if self.posterior is None:
-            return copy
-        return replace(copy, posterior=self.posterior)
+            return own
+        return replace(own, posterior=self.posterior)
 
     @cached_property
     def _known(self) -> Posterior:
@@ -893,7 +893,7 @@ def calibrate_foot_ground(
         )
 
     result = solve(pose, "calibrate foot-ground", folder, resume)
-    return Calibration("foot-ground", study, result)
+    return Calibration("foot-ground", copy(study), result)
 
 
 def calibrate_interaction(
@@ -939,7 +939,7 @@ def calibrate_interaction(
         )
 
     result = solve(pose, "calibrate interaction", folder, resume)
-    return Calibration("interaction", study, result)
+    return Calibration("interaction", copy(study), result)
 
 
 def find_clocks(

@@ -10,6 +10,7 @@ import pytest
 import drake_exo as dx
 from drake_exo.contact.reduction import SoleLaw, SoleSphere
 from drake_exo.files.output import Check, Verdict
+from drake_exo.measurement.settings import Filter
 from drake_exo.virtual_laboratory import synthetic
 
 pytestmark = pytest.mark.slow
@@ -125,6 +126,25 @@ def test_what_is_handed_out_may_be_changed(cuffs, found):
     np.testing.assert_array_equal(found.bands().q, width)
     with pytest.raises(ValueError, match="read-only"):
         found.result.values[:] = 0.0
+
+
+def test_a_result_stays_what_it_was_whatever_the_study_is_by_now(made):
+    coarse = dx.settings.Solver(nodes_per_second=20.0)
+    own = dx.Study(
+        made.model,
+        made.trials,
+        foot_ground=dx.FootGroundSettings(solver=coarse),
+        interaction=dx.InteractionSettings(solver=coarse),
+    )
+    results = [
+        dx.calibrate_foot_ground(own),
+        dx.calibrate_interaction(own, contact=made.contact),
+    ]
+    widths = [r.uncertainty().half_width for r in results]
+    own.name, own.filter = "another", Filter(cutoff_hz=2.0)
+    for result, width in zip(results, widths, strict=True):
+        assert result.study.name == "subject"
+        np.testing.assert_array_equal(result.uncertainty().half_width, width)
 
 
 def test_a_prediction_is_read_by_names(found, study):
@@ -298,6 +318,12 @@ def test_input_of_the_api_is_told(study, made):
         dx.predict(study, "rise1", made.contact)
     with pytest.raises(dx.InputError, match="contact is None; give a"):
         dx.predict(study, trial, None)
+    other = replace(
+        made.contact, bushings={"calf": made.contact.bushings["shank"]}
+    )
+    words = "knows the cuffs calf, not the model's shank, thigh, pelvis"
+    with pytest.raises(dx.InputError, match=words):
+        dx.predict(study, trial, other)
     with pytest.raises(dx.InputError, match="is no list of trials"):
         dx.calibrate_foot_ground(study, trial)
     with pytest.raises(dx.InputError, match="'a' is no trial"):
