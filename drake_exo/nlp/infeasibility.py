@@ -38,10 +38,16 @@ def check(
         parameters: program index of each free parameter by name.
 
     Raises:
-        InputError: the guess holds NaN, bounds exclude each other, a
-            function is not finite at the guess, or a parameter moves neither
-            a constraint nor a residual.
+        InputError: the guess has another length or holds NaN, bounds exclude
+            each other, a function is not finite at the guess, or a parameter
+            moves neither a constraint nor a residual.
     """
+    size = problem.program.prog.num_vars()
+    if np.shape(guess) != (size,):
+        raise InputError(
+            f"the guess has the shape {np.shape(guess)}, but the program "
+            f"{size} variables; give a value of each"
+        )
     if not np.isfinite(guess).all():
         bad = int(np.flatnonzero(~np.isfinite(guess))[0])
         name = problem.program.prog.decision_variable(bad).get_name()

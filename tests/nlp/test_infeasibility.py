@@ -29,6 +29,14 @@ def test_what_is_wrong_is_named():
     infeasibility.check(problem, np.full(7, 0.3), known)
 
 
+@pytest.mark.parametrize("shape", [(5,), (7,), (6, 1)])
+def test_a_guess_of_another_program_is_refused(shape):
+    """A longer one would be read from its begin on."""
+    problem = SparseProgram(valleys()[0])
+    with pytest.raises(InputError, match="but the program 6 variables"):
+        infeasibility.check(problem, np.zeros(shape), {})
+
+
 def test_crossed_bounds_are_refused():
     program, x = valleys()
     program.prog.AddBoundingBoxConstraint(1.0, 2.0, x[0, 0])
