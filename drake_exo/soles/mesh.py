@@ -48,7 +48,7 @@ class TetMesh:
     897 cm³
 
     Attributes:
-        nodes: Positions in the sole frame [m], (n, 3).
+        nodes: Positions in the sole frame [m], (n, 3); cannot be written to.
         tets: Node indices, positively oriented, (e, 4).
         fixed: Sorted indices of the nodes that move with the foot.
         lost: Part of the surface of a file that the mesh does not follow;
@@ -60,12 +60,17 @@ class TetMesh:
     fixed: np.ndarray
     lost: float | None = None
 
+    def __post_init__(self):
+        nodes = np.array(self.nodes, float)
+        nodes.flags.writeable = False
+        object.__setattr__(self, "nodes", nodes)
+
     def __repr__(self) -> str:
         return f"TetMesh({len(self.nodes)} nodes, {len(self.tets)} tets)"
 
     def with_nodes(self, nodes: np.ndarray) -> "TetMesh":
         """The same connectivity at other node positions."""
-        out = replace(self, nodes=np.asarray(nodes, float))
+        out = replace(self, nodes=nodes)
         # The boundary does not depend on positions, and the nodes that may
         # touch stay the same ones.
         for name in ("boundary_faces", "contact"):

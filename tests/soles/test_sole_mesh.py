@@ -161,7 +161,9 @@ def test_a_bump_is_no_top(tmp_path):
     middle = np.abs(mesh.nodes[mesh.fixed, :2]).sum(axis=1).argmin()
     near = mesh.nodes[mesh.fixed] - mesh.nodes[mesh.fixed[middle]]
     raised = (np.abs(near[:, :2]) < 0.3 * np.array(SIZE[:2])).all(axis=1)
-    mesh.nodes[mesh.fixed[raised], 2] += 0.005
+    nodes = mesh.nodes.copy()
+    nodes[mesh.fixed[raised], 2] += 0.005
+    mesh = mesh.with_nodes(nodes)
     path = tmp_path / "bump.vtk"
     meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)]).write(path)
     with pytest.raises(InputError, match=r"no flat top .*point data 'fixed'"):
@@ -344,6 +346,17 @@ def test_flat_elements_are_flat_beside_the_usual_one(part, sound):
     else:
         with pytest.raises(InputError, match=r"1 of 10369 .* flat"):
             checked_mesh(nodes, tets, mesh.fixed, "m")
+
+
+def test_millimetres_made_in_place_do_not_change_a_mesh():
+    """A case and all its steps have one mesh, and what follows is kept."""
+    mesh = brick(SIZE, (3, 2, 2))
+    given = mesh.nodes.copy()
+    moved = mesh.with_nodes(given)
+    given *= 1e3
+    np.testing.assert_array_equal(moved.nodes, mesh.nodes)
+    with pytest.raises(ValueError, match="read-only"):
+        mesh.nodes[:] *= 1e3
 
 
 def test_a_brick_of_too_many_tets_is_refused():
