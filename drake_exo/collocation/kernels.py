@@ -14,7 +14,11 @@ gives the device's torques.
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
+from pydrake.autodiffutils import (
+    ExtractGradient,
+    ExtractValue,
+    InitializeAutoDiff,
+)
 from pydrake.systems.framework import System
 from scipy.interpolate import CubicSpline
 
@@ -640,15 +644,19 @@ class ControllerKernel:
         )
 
     def _try(self) -> None:
-        """Ask for torques at rest, with and without derivatives.
+        """Ask for torques at rest and bent, with and without derivatives.
 
         Raises:
-            InputError: ports of other sizes, or it cannot say.
+            InputError: ports of other sizes, or it cannot say, or says
+                otherwise where it tells derivatives.
         """
+        rest = np.zeros(2 * self._m)
         try:
-            rest = np.zeros(2 * self._m)
-            at_rest = self._torque(rest, 0.0, False)
-            self._torque(InitializeAutoDiff(rest).ravel(), 0.0, True)
+            at_rest, bent, told = (
+                self._torque(rest, 0.0, False),
+                self._torque(rest + 0.1, 0.0, False),
+                self._torque(InitializeAutoDiff(rest + 0.1).ravel(), 0.0, True),
+            )
         except Exception as error:  # it is the user's own code
             raise InputError(
                 f"the controller gives no torques at rest ({reason(error)}); "
@@ -658,6 +666,11 @@ class ControllerKernel:
             raise InputError(
                 f"the controller's {TORQUE_PORT} must be {self._m} finite "
                 "numbers"
+            )
+        if not np.allclose(bent, ExtractValue(told).ravel(), equal_nan=True):
+            raise InputError(
+                "the controller that is converted to AutoDiffXd gives other "
+                "torques; hand its values on in _construct_copy"
             )
 
     def _torque(self, state, time, derivatives):

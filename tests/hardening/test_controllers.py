@@ -4,7 +4,8 @@ import sys
 
 import numpy as np
 import pytest
-from pydrake.systems.framework import BasicVector, LeafSystem
+from pydrake.systems.framework import BasicVector, LeafSystem, LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
 
 from drake_exo.cli.predict import load_controller
 from drake_exo.collocation.kernels import ControllerKernel
@@ -96,3 +97,30 @@ def test_ports_of_other_sizes():
     ):
         with pytest.raises(InputError, match=words):
             ControllerKernel(system, 3)
+
+
+@TemplateSystem.define("Spring_", scope=sys.modules[__name__])
+def Spring_(T):
+    class Impl(LeafSystem_[T]):
+        def _construct(self, stiffness=1.0, kept=True, converter=None):
+            super().__init__(converter=converter)
+            self.stiffness, self.kept = stiffness, kept
+            self.DeclareVectorInputPort("exoskeleton_state", 6)
+            self.DeclareVectorOutputPort("exoskeleton_torques", 3, self._calc)
+
+        def _construct_copy(self, other, converter=None):
+            values = [other.stiffness] if other.kept else []
+            Impl._construct(self, *values, converter=converter)
+
+        def _calc(self, context, output):
+            state = self.GetInputPort("exoskeleton_state").Eval(context)
+            output.SetFromVector(-self.stiffness * state[:3])
+
+    return Impl
+
+
+def test_a_copy_that_forgets_its_values_is_told():
+    """A prediction would be solved with derivatives of another controller."""
+    ControllerKernel(Spring_[float](20.0), 3)
+    with pytest.raises(InputError, match="gives other torques; hand its"):
+        ControllerKernel(Spring_[float](20.0, kept=False), 3)
