@@ -84,7 +84,8 @@ def check_type(value: object, cls: type, what: str) -> None:
         InputError: naming the argument.
     """
     if not isinstance(value, cls):
-        raise InputError(f"{what} is {value!r:.60}; give a {cls.__name__}")
+        begin = " ".join(repr(value).split())  # an array's has many lines
+        raise InputError(f"{what} is {begin:.60}; give a {cls.__name__}")
 
 
 def check_fields(values: object, what: str) -> None:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_bounds, check_type
 from drake_exo.files.output import read_arrays, read_json, write_json
 from drake_exo.measurement.sagittal import PlanarWrench, fixed
 from drake_exo.model.coordinates import Coordinates
@@ -72,6 +72,11 @@ class Trial:
     Toes up, dorsiflexion, knee and hip flexion are positive, of angles and of
     moments; all angles are zero in upright standing. Arrays cannot be written
     to: change a copy, and put it in with `dataclasses.replace`.
+
+    Raises:
+        InputError: a part is of another kind, an array holds no numbers, or
+            the chair's share is none.
+        ValueError: an array has another shape.
 
     Attributes:
         name: unique in its study.
@@ -140,6 +145,18 @@ class Trial:
                 object.__setattr__(self, name, fixed(numbers))
         for name in ("feet", "cuffs", "applied", "provenance"):
             object.__setattr__(self, name, dict(getattr(self, name)))
+        parts = {"coordinates": self.coordinates, "ground": self.ground}
+        if self.chair is not None:
+            parts["chair"] = self.chair
+        for group in ("feet", "applied", "cuffs"):
+            own = getattr(self, group)
+            parts |= {f"{group}.{key}": part for key, part in own.items()}
+        kinds = {"coordinates": Coordinates, "cuffs": CuffForce}
+        for name, part in parts.items():
+            kind = kinds.get(name.partition(".")[0], PlanarWrench)
+            check_type(part, kind, f"trial {self.name}: {name}")
+        share, bounds = self.chair_on_thighs, {"minimum": 0.0, "maximum": 1.0}
+        check_bounds(f"trial {self.name}: chair_on_thighs", share, bounds)
         columns = {
             **dict.fromkeys(("q", "v", "a", "jerk"), len(self.coordinates)),
             "moments": self.coordinates.num_joints,
@@ -359,6 +376,7 @@ class Trial:
                 **_fields(arrays),
             )
         except (
+            InputError,
             ValueError,
             KeyError,
             TypeError,

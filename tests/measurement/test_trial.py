@@ -236,6 +236,23 @@ def test_shapes_are_checked(trial, changes, words):
         replace(trial, **changes)
 
 
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"ground": np.zeros((51, 3))}, "ground is .*; give a PlanarWrench"),
+        ({"chair": np.zeros((51, 3))}, "chair is .*; give a PlanarWrench"),
+        ({"cuffs": {"shank": np.zeros(51)}}, "shank is .*; give a CuffForce"),
+        ({"feet": {"left": 3}}, r"feet\.left is 3; give a PlanarWrench"),
+        ({"coordinates": ("ankle",)}, "coordinates is .*give a Coordinates"),
+        # More than the whole chair would act on the thighs.
+        ({"chair_on_thighs": 2.0}, "chair_on_thighs is 2, but must be at most"),
+    ],
+)
+def test_parts_are_checked(trial, changes, words):
+    with pytest.raises(InputError, match=f"trial rise1: .*{words}"):
+        replace(trial, **changes)
+
+
 def test_a_notebook_shows_a_line_not_the_arrays():
     trial = seen("rise", 2.0, ("thigh", "pelvis"))
     shown = repr(trial)
