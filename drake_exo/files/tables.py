@@ -413,7 +413,8 @@ def uniform_time(
         grid = time[0] + step * np.arange(n)
     off = np.abs(time - grid)
     if off.max() > _JITTER * step:
-        worst = int(np.argmax(off))
+        # Where a frame is missing, all later ones are off as much.
+        worst = int(np.argmax(np.abs(np.diff(time) - step))) + 1
         raise InputError(
             f"{source}: time is not evenly spaced around {time[worst]:g} s "
             f"(frame {worst + 1}); resample the file at a constant rate"

@@ -308,6 +308,10 @@ def test_uneven_times_are_refused():
     time = np.delete(np.arange(50) / 50.0, 20)
     with pytest.raises(InputError, match="not evenly spaced"):
         uniform_time("f.trc", time)
+    time = np.delete(np.arange(1400) / 100.0, 200)
+    for rate_hz in (None, 100.0):
+        with pytest.raises(InputError, match=r"2\.01 s \(frame 201\)"):
+            uniform_time("f.trc", time, rate_hz)
     with pytest.raises(InputError, match=r"100 frames a second.*50"):
         uniform_time("f.trc", TIME, 100.0)
     with pytest.raises(InputError, match=r"47 frames a second.*50"):
