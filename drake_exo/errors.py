@@ -135,12 +135,18 @@ def check_file_name(where: str, name: str) -> None:
 def nearest(name: str | None, names: Iterable[str]) -> str:
     """The end of a sentence about a wrong name: "; did you mean 'hip'?".
 
-    Empty where no name is near.
+    Empty where no name is near. Neither case nor what stands before a colon,
+    as a subject's name does before a marker's, makes a name another one.
+
+    >>> nearest("L_calc", ["r_calc", "S4:L_CALC"])
+    "; did you mean 'S4:L_CALC'?"
     """
     from difflib import get_close_matches  # only once something is wrong
 
-    close = get_close_matches(name or "", list(names), n=1)
-    return f"; did you mean {close[0]!r}?" if close else ""
+    plain = {n.casefold().rpartition(":")[2]: n for n in names}
+    wanted = (name or "").casefold().rpartition(":")[2]
+    close = get_close_matches(wanted, plain, n=1)
+    return f"; did you mean {plain[close[0]]!r}?" if close else ""
 
 
 def printable(text: str, keep: str = "") -> str:

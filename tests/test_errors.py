@@ -69,6 +69,9 @@ def test_the_nearest_name_is_suggested_if_one_is_near():
     names = ("hip_torque", "knee_torque")
     assert nearest("hip_torqe", names) == "; did you mean 'hip_torque'?"
     assert nearest("mass", names) == nearest(None, names) == ""
+    found = nearest("L_calc", ("r_calc", "S4:L_calc"))
+    assert found == "; did you mean 'S4:L_calc'?"
+    assert nearest("L_calc", ("r_calc", "LCALC")).endswith("'LCALC'?")
     # A key of old that is gone is no misspelt other one.
     assert nearest("use_tr", ("strain", "starts")) == ""
 
