@@ -27,8 +27,11 @@ def test_what_a_command_returns():
         assert cli._run(lambda args=args: args) == code
 
 
-def test_ctrl_c_while_a_command_is_imported(capsys):
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_ctrl_c_while_a_command_is_imported(wrapped, capsys):
     def parsed():
+        if wrapped:
+            raise ImportError("initialization failed") from KeyboardInterrupt()
         raise KeyboardInterrupt
 
     assert cli._run(parsed) == 130

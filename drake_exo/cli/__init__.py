@@ -170,6 +170,9 @@ def _run(parsed: Callable[[], argparse.Namespace]) -> int:
             file=sys.stderr,
         )
         return 2
-    except KeyboardInterrupt:
+    except BaseException as error:
+        # An extension module that was being loaded makes another error of it.
+        if not isinstance(error.__cause__ or error, KeyboardInterrupt):
+            raise
         print("drake-exo: interrupted", file=sys.stderr)
         return 130
