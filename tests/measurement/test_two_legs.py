@@ -58,6 +58,19 @@ def test_legs_that_move_alike_have_the_angles_of_one(tmp_path):
     assert np.median(ratio) == pytest.approx(1.5, abs=0.05)
 
 
+def test_plates_are_timed_though_feet_begin_and_end_beside_them(walk):
+    """As the rises of that day say: one frame late."""
+    file = walk.file
+    timed = replace(
+        file.laboratory, force_delay_s=0.0, estimate_force_delay=True
+    )
+    study = RecordedStudy(replace(file, laboratory=timed), walk.root)
+    lags = [t.provenance["delays_s"]["forces"] for t in study.trials()]
+    np.testing.assert_allclose(lags, 0.01, atol=0.002)
+    clock = [c for c in study.plausibility() if c.name.endswith("force_clock")]
+    assert len(clock) == 3 and all(c.holds for c in clock)
+
+
 def test_a_planar_body_is_found_again(walk):
     """What lies in the plane has no hips fore and aft of each other."""
     subject, tree = walk.subject, walk.model.tree
