@@ -63,7 +63,8 @@ def run(args: argparse.Namespace) -> int:
     plausible = study.gate("calibration", args.accept)
     alone = [c for t in trials for c in t.cuffs if with_mats[c] == 1]
     folds: list[dict] = []
-    with prepare_output_folder(args.out, args.force, reads=study.reads) as out:
+    folder = prepare_output_folder(args.out, args.force, reads=study.reads)
+    with folder as out:
         for trial in trials:
             folds.append(fold(study, trial.name))
             solved = tuple(
@@ -76,13 +77,15 @@ def run(args: argparse.Namespace) -> int:
             write_json(out / "summary.json", summary)
             if folds[-1]["stopped"]:
                 break
+        stopped = folds[-1]["stopped"]
+        code = folder.end(STOPPED_CODE if stopped else held.exit_code)
     print(_table(folds))
     if len(told) == 1:
         print(f"{told[0]} alone has encoders, and is never left out")
     print(summary["sentence"])
     print(held.text())
-    print(f"results in {args.out}")
-    return STOPPED_CODE if folds[-1]["stopped"] else held.exit_code
+    print(f"results in {folder.path}")
+    return code
 
 
 def fold(study: Study, name: str) -> dict:

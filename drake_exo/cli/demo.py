@@ -42,8 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the steps one after the other; stops where nothing is solved."""
-    with prepare_output_folder(args.out, args.force) as out:
-        code = _steps(out)
+    folder = prepare_output_folder(args.out, args.force)
+    with folder as out:
+        code = folder.end(_steps(out))
     if code in (0, FAILS_CODE):
         print(f"all of it is in {args.out}; open in a browser:")
         print(f"  {(args.out / REPLAY).resolve()}")

@@ -73,7 +73,7 @@ def left_out(monkeypatch):
     monkeypatch.setattr(crossvalidate, "read_study", lambda *_: study)
     monkeypatch.setattr(crossvalidate, "check_has_cuffs", lambda _: None)
 
-    def run(out, **stopped):
+    def run(out, force=False, **stopped):
         def fold(study, name):
             mean = {"interaction_n": {"pelvis": 3.0}}
             usual = {"interaction_n": {"pelvis": 12.0}}
@@ -85,7 +85,7 @@ def left_out(monkeypatch):
 
         monkeypatch.setattr(crossvalidate, "fold", fold)
         args = Namespace(
-            study=Path("s"), data_root=None, out=out, force=False, accept=()
+            study=Path("s"), data_root=None, out=out, force=force, accept=()
         )
         return crossvalidate.run(args), json.loads((out / SUMMARY).read_text())
 
@@ -124,6 +124,33 @@ def test_crossvalidation_goes_over_all_unless_it_is_stopped(left_out, tmp_path):
     assert [f["trial"] for f in summary["folds"]] == ["a", "b"]
     code, summary = left_out(tmp_path / "failed", c=False)
     assert code == 1 and len(summary["folds"]) == 3
+
+
+@pytest.mark.parametrize("stopped", [True, False])
+def test_a_crossvalidation_that_is_not_solved_replaces_none(
+    stopped, left_out, tmp_path, capsys
+):
+    out = tmp_path / "whole"
+    left_out(out)
+    _, summary = left_out(out, force=True, b=stopped)
+    assert all(f["success"] for f in summary["folds"])
+    assert f"results in {out}.partial" in capsys.readouterr().out
+    code, summary = left_out(out, force=True)
+    assert code == 0 and len(summary["folds"]) == 3
+    assert [p.name for p in tmp_path.iterdir()] == ["whole"]
+
+
+def test_a_demo_that_is_not_solved_replaces_none(monkeypatch, tmp_path):
+    args = Namespace(out=tmp_path / "demo", force=True)
+    for code in (0, 1):
+
+        def steps(out, code=code):
+            (out / "replay.html").write_text(f"{code}")
+            return code
+
+        monkeypatch.setattr(demo, "_steps", steps)
+        assert demo.run(args) == code
+    assert (tmp_path / "demo" / "replay.html").read_text() == "0"
 
 
 def test_a_fold_reads_both_on_the_clock_that_calibrated_cuffs_tell(
