@@ -150,10 +150,12 @@ def plates_of(table: Table) -> dict[int, PlateRecording]:
             "ground_force_1_vx, ground_force_1_px, ground_torque_1_x"
         )
     labels = list(columns)
-    # "ground_force_2_vx" is plate 2; "1_ground_force_vx" beside
-    # "ground_force_vx" is OpenSim's second plate.
-    numbered = all(label.isdecimal() and label != "0" for label in labels)
-    numbers = [int(n) if numbered else i for i, n in enumerate(labels, 1)]
+    # "ground_force_2_vx" is plate 2, and so is "FP2_ground_force_vx";
+    # "1_ground_force_vx" beside "ground_force_vx" is OpenSim's second plate.
+    told = [re.fullmatch(r"\D*0*([1-9]\d*)\D*", label) for label in labels]
+    numbers = [int(match[1]) for match in told if match]
+    if len(set(numbers)) < len(labels):
+        numbers = list(range(1, len(labels) + 1))
     return {
         number: _plate(table, number, label, columns[label])
         for number, label in zip(numbers, labels, strict=True)

@@ -218,6 +218,8 @@ def test_plate_numbers_follow_the_columns():
     plates = plates_of(table(names))
     assert [p.number for p in plates.values()] == [3, 7] == list(plates)
     assert not plates[3].torque.any()
+    words = [n.replace("_7_", "_FP2_").replace("_3_", "_FP3_") for n in names]
+    assert list(plates_of(table(words))) == [3, 2]
     # A digit, but no number.
     plates = plates_of(table([n.replace("7", "²") for n in names[6:]]))
     assert list(plates) == [1]
