@@ -471,13 +471,13 @@ def _force_delay(
         return force_delay(
             time, needed + pulled, total + pulled, motion.known, reach
         )
-    late = None
+    late = 0.0
     for _ in range(_CLOCK_PASSES):  # seat-off is found on the plates' clock
-        used = _borne_by_feet(motion, forces.delayed(late or 0.0), rigid)
-        found = force_delay(time, needed + pulled, F_z + pulled, used, reach)
-        if late is not None and abs(found - late) < _SETTLED_S:
+        used = _borne_by_feet(motion, forces.delayed(late), rigid)
+        before = late
+        late = force_delay(time, needed + pulled, F_z + pulled, used, reach)
+        if abs(late - before) < _SETTLED_S:
             break
-        late = found
     return late
 
 

@@ -198,7 +198,7 @@ def test_seat_off_is_found_on_the_clock_that_is_found(monkeypatch):
         processing, "force_delay", lambda t, n, F_z, used, reach: by_lag[used]
     )
     lab, motion = (SimpleNamespace(largest_delay_s=0.1, time=np.zeros(2)),) * 2
-    assert processing._force_delay(motion, forces, None, lab) == 0.048
+    assert processing._force_delay(motion, forces, None, lab) == 0.049
 
 
 @pytest.mark.parametrize("late", [0.05, 0.0484, 0.0486, -0.0486, 0.02])
