@@ -357,7 +357,9 @@ def _summary(
         ],
         "measured_sd": spread(trials, study.model.tree),
         "starts_from": (
-            "their first measured state"
+            "a state of their own, which ends them with legs exchanged"
+            if study.prediction.ends == "periodic"
+            else "their first measured state"
             if study.model.assembly.human.sides
             else "the measured chair force"
             if any(t.chair_shares for t in trials)

@@ -200,6 +200,12 @@ def test_movements_start_from_a_chair_only_where_it_bears():
         starts.append(found["starts_from"])
     assert starts[0].startswith("seat-off")
     assert starts[1] == "the measured chair force"
+    settings = PredictionSettings(
+        ends="periodic", speed_m_s=1.2, torque_limit_nm=200.0
+    )
+    study = Study(model, [trial], prediction=settings)
+    found = _summary(study, [], [trial], None)
+    assert found["starts_from"].startswith("a state of their own")
 
 
 def test_the_contact_beside_scaled_predictions_is_the_scaled_one(
