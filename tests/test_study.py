@@ -48,6 +48,8 @@ def test_data_root_must_be_a_folder(tmp_path):
     ("old", "new", "words"),
     [
         ("mass_kg: 60.0", "mass_kg: -60.0", "7: subject.mass_kg is -60.0"),
+        ("mass_kg: 60.0", "mass_kg: 0.06", "7: subject.mass_kg is 0.06, but"),
+        ("height_m: 1.70", "height_m: 0.17", "6: subject.height_m is 0.17"),
         ("  height_m:", "  heigth_m:", "did you mean 'height_m'"),
         ("order: 4", "order: 3", "two passes make it even"),
         ("{left: 2, right: 1}", "{left: 1, right: 1}", "'both: 1'"),

@@ -233,8 +233,8 @@ class Subject:
     """
 
     name: str
-    height_m: float = quantity("m", above=0.0, maximum=3.0)
-    mass_kg: float | None = quantity("kg", None, above=0.0, maximum=500.0)
+    height_m: float = quantity("m", minimum=0.9, maximum=2.6)
+    mass_kg: float | None = quantity("kg", None, minimum=15.0, maximum=350.0)
     sex: Literal["male", "female"] = "male"
     segments: HumanOverrides = field(default_factory=HumanOverrides)
 
