@@ -27,12 +27,16 @@ def test_what_a_command_returns():
         assert cli._run(lambda args=args: args) == code
 
 
-@pytest.mark.parametrize("wrapped", [False, True])
-def test_ctrl_c_while_a_command_is_imported(wrapped, capsys):
+@pytest.mark.parametrize("modules", [0, 1, 3])
+def test_ctrl_c_while_a_command_is_imported(modules, capsys):
+    """Each extension module on the way makes another error of it."""
+
     def parsed():
-        if wrapped:
-            raise ImportError("initialization failed") from KeyboardInterrupt()
-        raise KeyboardInterrupt
+        error = KeyboardInterrupt()
+        for _ in range(modules):
+            outer = ImportError("initialization failed")
+            outer.__cause__, error = error, outer
+        raise error
 
     assert cli._run(parsed) == 130
     assert capsys.readouterr().err == "drake-exo: interrupted\n"

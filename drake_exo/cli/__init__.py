@@ -171,8 +171,11 @@ def _run(parsed: Callable[[], argparse.Namespace]) -> int:
         )
         return 2
     except BaseException as error:
-        # An extension module that was being loaded makes another error of it.
-        if not isinstance(error.__cause__ or error, KeyboardInterrupt):
+        # Extension modules that were being loaded make other errors of it.
+        first = error
+        while first.__cause__ is not None:
+            first = first.__cause__
+        if not isinstance(first, KeyboardInterrupt):
             raise
         print("drake-exo: interrupted", file=sys.stderr)
         return 130
