@@ -19,7 +19,7 @@ from pathlib import Path
 
 from drake_exo.cli import add_accept, add_out
 from drake_exo.errors import InputError
-from drake_exo.files.output import read_json
+from drake_exo.files.output import read_json, summaries
 
 REPLAY = "replay.html"
 
@@ -93,7 +93,7 @@ def write_view(results: Path, path: Path, accept: Sequence[str] = ()) -> None:
 def _holds_soles(results: Path) -> bool:
     """Whether the results under a folder are of soles, or of movements."""
     halves: dict[bool, Path] = {}
-    for path in sorted(results.rglob("summary.json")):
+    for path in summaries(results):
         found = read_json(path, "run the command that wrote it again")
         if isinstance(found, dict) and "phase" in found:
             halves[False] = path.parent

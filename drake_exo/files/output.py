@@ -41,6 +41,7 @@ _WHOLE = "*"
 # Held while a run writes; the system lets go of it when the process ends,
 # however that is.
 LOCK = ".drake_exo_lock"
+_PARTIAL = ".partial"
 _LARGEST_ARRAYS = 2**31  # bytes of one file, unpacked
 
 
@@ -196,7 +197,20 @@ def _beside(target: Path) -> Path:
     """Where new results grow; "." has no name, its whole path has."""
     plain = target.name not in ("", "..")
     named = target if plain else target.resolve()
-    return named.with_name(target.resolve().name + ".partial")
+    return named.with_name(target.resolve().name + _PARTIAL)
+
+
+def summaries(folder: Path) -> list[Path]:
+    """`summary.json` of all results below a folder, in the order of paths.
+
+    Without those that a stopped run left beside older ones, in `NAME.partial`.
+    """
+    found = sorted(Path(folder).rglob("summary.json"))
+    return [
+        path
+        for path in found
+        if all(p.suffix != _PARTIAL for p in path.relative_to(folder).parents)
+    ]
 
 
 def _files(folder: Path) -> set[str]:

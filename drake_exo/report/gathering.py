@@ -22,6 +22,7 @@ from drake_exo.files.output import (
     read_json,
     stored,
     stored_mark,
+    summaries,
 )
 from drake_exo.measurement.trial import Trial
 
@@ -133,7 +134,7 @@ def gather(folder: Path, accept: Sequence[str] | None = None) -> list[Results]:
             solve that failed, or no trial of any was solved.
     """
     found = []
-    for path in sorted(Path(folder).rglob("summary.json")):
+    for path in summaries(folder):
         summary = read_json(path, "run the command that wrote it again")
         if isinstance(summary, dict) and summary.get("phase") in _PHASES:
             _check(path, summary)

@@ -402,3 +402,14 @@ def test_what_is_read_is_not_replaced(tmp_path):
         with pytest.raises(InputError, match="is read; choose another"):
             prepare_output_folder(target, force=True, reads=[None, source])
     prepare_output_folder(target / "next", reads=[target]).__exit__(*[None] * 3)
+
+
+def test_what_a_stopped_run_left_is_none_of_the_results(tmp_path):
+    for name in ("A", "A.partial", "B/C", "B.partial/C"):
+        (tmp_path / name).mkdir(parents=True)
+        write_json(tmp_path / name / "summary.json", {})
+    found = [p.parent for p in output.summaries(tmp_path)]
+    assert found == [tmp_path / "A", tmp_path / "B/C"]
+    # Asked for by itself it can be looked at.
+    partial = tmp_path / "A.partial"
+    assert output.summaries(partial) == [partial / "summary.json"]
