@@ -841,7 +841,7 @@ class DesignProblem(Compiles):
             wearers[part.wearer.name] = WearerResult(
                 part, solution, contact, trials
             )
-        return DesignResult(self, solution, values, wearers)
+        return DesignResult(self, solution, compiled, values, wearers)
 
 
 def _held(v: Variable, held: Mapping[str, float] | bool) -> Variable:

@@ -24,6 +24,7 @@ from drake_exo.contact.strap import (
 from drake_exo.measurement.trial import Trial
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.nlp.sensitivity import Optimum
+from drake_exo.nlp.sparse import SparseProgram
 
 if TYPE_CHECKING:
     from drake_exo.calibration.design import DesignProblem
@@ -97,12 +98,14 @@ class DesignResult:
     Attributes:
         problem: that was solved.
         solution: state of the solve.
+        compiled: what was solved: its program may be added to afterwards.
         values: name -> value of each design variable (straps as compliance).
         wearers: name -> its trials on the design.
     """
 
     problem: DesignProblem
     solution: Solution
+    compiled: SparseProgram
     values: dict[str, float]
     wearers: dict[str, WearerResult]
 
@@ -134,8 +137,7 @@ class DesignResult:
         Of the whole cost; held are those whose bounds are equal, or that sit
         at a bound.
         """
-        problem = self.problem
-        program = problem.compiled
+        problem, program = self.problem, self.compiled
         y = program.restrict(self.solution.raw_values())
         index = {
             n: problem.program.index(v) for n, v in problem.variables.items()

@@ -66,10 +66,12 @@ class PhaseResult:
     Attributes:
         problem: that was solved.
         solution: state of the solve.
+        compiled: what was solved: its program may be added to afterwards.
     """
 
     problem: "PhaseProblem"
     solution: Solution
+    compiled: SparseProgram
 
     @property
     def success(self) -> bool:
@@ -78,7 +80,7 @@ class PhaseResult:
 
     def unsealed(self) -> "PhaseResult":
         """The same with a solution that may be read although it failed."""
-        return PhaseResult(self.problem, replace(self.solution).unseal())
+        return replace(self, solution=replace(self.solution).unseal())
 
     @cached_property
     def values(self) -> np.ndarray:
@@ -659,7 +661,7 @@ class PhaseProblem(Compiles, ABC):
         solution.active_bounds = [
             p.name for p in found if p.free and p.at_bound(p.nominal)
         ]
-        return PhaseResult(self, solution)
+        return PhaseResult(self, solution, self.compiled)
 
     def parameters_at(self, x: np.ndarray) -> list[ContactParameter]:
         """Calibrated parameters with their values among program variables."""

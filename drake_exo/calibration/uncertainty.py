@@ -123,15 +123,15 @@ def uncertainty(
         (`reduce: false`): then given end states are no constraints.
     """
     problem = result.problem
-    free = _free(problem)
+    free = _free(result)
     if not free or not problem.settings.solver.reduce:
         return None
-    program = problem.compiled
+    program = result.compiled
     y = program.restrict(result.values)
     index = problem.program.indices(problem.parameter_variables[free])
     columns = program.unknowns.column_of(index)
     unit = program.unknowns.scale[index]
-    border = program.unknowns.column_of(_shared(problem))
+    border = program.unknowns.column_of(_shared(result))
     found = response(program, y, columns, border)
     found = Response(
         unit[:, None] * found.by_gradient, unit[:, None] * found.by_bounds
@@ -140,7 +140,7 @@ def uncertainty(
     by_x = found.by_gradient @ program.unknowns.matrix.T
     covariance = np.zeros((len(free), len(free)))
     for movement in problem.movements:
-        for part in _noise(movement, problem, found, by_x, cutoff_hz, order):
+        for part in _noise(movement, result, found, by_x, cutoff_hz, order):
             covariance += part @ part.T
     if problem.error_variables is not None:
         # Their prior is one more measurement, too.
@@ -196,26 +196,26 @@ def posterior(result: PhaseResult) -> Posterior:
     device that swings would seem to tell when its encoders were read.
     """
     problem = result.problem
-    names = [problem.parameters[k].name for k in _free(problem)]
+    names = [problem.parameters[k].name for k in _free(result)]
     if problem.error_variables is not None:
         names += problem.errors.names
-    program = problem.compiled
+    program = result.compiled
     x = result.values
     y = program.restrict(x)
-    index = _shared(problem)
+    index = _shared(result)
     columns = program.unknowns.column_of(index)
     unit = program.unknowns.scale[index]
     matrix = program.unknowns.matrix
-    jerk = matrix.T @ sp.diags_array(_jerk_weights(problem)) @ matrix
+    jerk = matrix.T @ sp.diags_array(_jerk_weights(problem, len(x))) @ matrix
     found = response(program, y, columns, without=jerk).by_gradient
     covariance = -unit[:, None] * found[:, columns] * unit
     covariance = 0.5 * (covariance + covariance.T)
     return Posterior(tuple(names), x[index], covariance)
 
 
-def _free(problem: PhaseProblem) -> list[int]:
+def _free(result: PhaseResult) -> list[int]:
     """Which parameters are unknowns: free, and not held in the program."""
-    unknowns = problem.compiled.unknowns
+    problem, unknowns = result.problem, result.compiled.unknowns
     index = problem.program.indices(problem.parameter_variables)
     held = unknowns.x_lower[index] == unknowns.x_upper[index]
     return [
@@ -223,28 +223,29 @@ def _free(problem: PhaseProblem) -> list[int]:
     ]
 
 
-def _shared(problem: PhaseProblem) -> np.ndarray:
+def _shared(result: PhaseResult) -> np.ndarray:
     """Variables that touch all nodes of a trial: free parameters, errors."""
-    variables = problem.parameter_variables[_free(problem)]
+    problem = result.problem
+    variables = problem.parameter_variables[_free(result)]
     if problem.error_variables is not None:
         variables = np.r_[variables, problem.error_variables]
     return problem.program.indices(variables)
 
 
-def _noise(movement: TrialProgram, problem, found, by_x, cut, order):
+def _noise(movement: TrialProgram, result, found, by_x, cut, order):
     """Response (m, k) to independent unit noises, for each signal."""
     values, slopes = noise_basis(movement.grid.times, cut, order)
     responses = {"position": [], "velocity": []}
     for term in movement.tracked:
         if term.role == "regulariser":
             continue
-        R = by_target(term, problem, by_x)
+        R = by_target(term, result.problem, by_x)
         if term.role in responses:
             # To the signals themselves, as ends are given: places and speeds
             # share errors by rows of their own.
             R = R @ term.rows[0]
-            variables = problem.program.indices(term.variables)
-            _add_ends(R, variables, problem.compiled, found)
+            variables = result.problem.program.indices(term.variables)
+            _add_ends(R, variables, result.compiled, found)
             responses[term.role].append((R, term))
             continue
         sigma = _finite(term.sigma)
@@ -300,9 +301,9 @@ def _add_ends(R, variables, program, found):
         R[:, node, given] += found.by_bounds[:, rows[given]] / unit
 
 
-def _jerk_weights(problem: PhaseProblem) -> np.ndarray:
-    """Curvature (num_vars,) of the cost by each variable's jerk."""
-    found = np.zeros(problem.program.prog.num_vars())
+def _jerk_weights(problem: PhaseProblem, count: int) -> np.ndarray:
+    """Curvature (count,) of the cost by each variable's jerk."""
+    found = np.zeros(count)
     for movement in problem.movements:
         jerk = problem.program.indices(movement.grid.jerk)
         weights = movement.grid.jerk_weights[:, None]
@@ -313,7 +314,7 @@ def _jerk_weights(problem: PhaseProblem) -> np.ndarray:
 def _regulariser(problem: PhaseProblem, program: SparseProgram, y):
     """Gradient of what tracks no measurement, the prior left out."""
     x = program.expand(y)
-    g = _jerk_weights(problem) * x
+    g = _jerk_weights(problem, len(x)) * x
     for movement in problem.movements:
         variables, factors, times = movement.damped
         index = problem.program.indices(variables)
@@ -625,7 +626,7 @@ def bands(result: PhaseResult) -> Bands | None:
     if known is None or problem.error_variables is None:
         return None
     (movement,), (trial,) = problem.movements, result.trials
-    program = problem.compiled
+    program = result.compiled
     y = program.restrict(result.values)
     place = problem.program.indices
     errors = place(problem.error_variables)

@@ -181,13 +181,12 @@ def test_noise_of_signals_reaches_parameters():
         rows=SimpleNamespace(row_of=lambda v: rows[v]),
         unknowns=SimpleNamespace(scale=scale),
     )
-    problem = SimpleNamespace(
-        program=SimpleNamespace(indices=lambda v: v), compiled=program
-    )
+    problem = SimpleNamespace(program=SimpleNamespace(indices=lambda v: v))
+    result = SimpleNamespace(problem=problem, compiled=program)
     found = list(
         module._noise(
             movement,
-            problem,
+            result,
             SimpleNamespace(by_bounds=by_bounds),
             by_x,
             6.0,
@@ -239,13 +238,12 @@ def test_an_error_that_angles_share_is_one_of_their_speeds():
         term.weights = weights
         tracked.append(term)
         gains[role] = np.linalg.inv(covariance)
-    problem = SimpleNamespace(
-        program=SimpleNamespace(indices=lambda v: v),
-        compiled=SimpleNamespace(
-            rows=SimpleNamespace(row_of=lambda v: np.full(len(v), -1)),
-            unknowns=SimpleNamespace(scale=np.ones(4 * n)),
-        ),
+    problem = SimpleNamespace(program=SimpleNamespace(indices=lambda v: v))
+    compiled = SimpleNamespace(
+        rows=SimpleNamespace(row_of=lambda v: np.full(len(v), -1)),
+        unknowns=SimpleNamespace(scale=np.ones(4 * n)),
     )
+    result = SimpleNamespace(problem=problem, compiled=compiled)
     free = SimpleNamespace(by_bounds=np.zeros((3, 0)))
     by_x = rng.normal(size=(3, 4 * n))
     movement = SimpleNamespace(
@@ -253,7 +251,7 @@ def test_an_error_that_angles_share_is_one_of_their_speeds():
     )
     found = sum(
         part @ part.T
-        for part in module._noise(movement, problem, free, by_x, 6.0, 4)
+        for part in module._noise(movement, result, free, by_x, 6.0, 4)
     )
     values, slopes = noise_basis(times, 6.0, 4)
     place, speed = by_x.reshape(3, 2, n, 2).transpose(1, 0, 2, 3)

@@ -131,7 +131,9 @@ def test_other_radii_may_lie_beyond_bounds_or_fail(result):
         replace(p, nominal=0.055) if p.name == "heel.radius" else p
         for p in problem.parameters
     ]
-    rows = list(radius_profile(PhaseResult(problem, result.solution)))
+    rows = list(
+        radius_profile(PhaseResult(problem, result.solution, result.compiled))
+    )
     assert not any(r["success"] for r in rows)
     radii = [r["heel.radius"] for r in rows]
     np.testing.assert_allclose(radii, [0.04125, 0.055, 0.06875])
@@ -163,7 +165,7 @@ def test_a_front_s_failed_solve_is_told(result):
     settings = problem.settings
     solver = replace(settings.solver, max_iterations=1)
     problem.settings = replace(settings, solver=solver)
-    rows = pareto_front(PhaseResult(problem, result.solution))
+    rows = pareto_front(PhaseResult(problem, result.solution, result.compiled))
     assert [r["success"] for r in rows] == [False, True]
     assert "0.5 (failed)" in front_table(rows)
 
@@ -172,22 +174,27 @@ def test_a_front_ends_where_it_is_stopped(result, monkeypatch, tmp_path):
     """With what it has, and the rest of the results as they are."""
     stopped = replace(result.solution, success=False, status=STOPPED_BY_USER)
     monkeypatch.setattr(
-        PhaseProblem, "solve", lambda p, **_: PhaseResult(p, stopped)
+        PhaseProblem,
+        "solve",
+        lambda p, **_: PhaseResult(p, stopped, p.compiled),
     )
     problem = copy(result.problem)
     problem.settings = replace(problem.settings, front=(2.0, 4.0))
-    rows = pareto_front(PhaseResult(problem, result.solution))
+    rows = pareto_front(PhaseResult(problem, result.solution, result.compiled))
     assert [r["factor"] for r in rows] == [1.0]
 
     def interrupted(problem, **_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(PhaseProblem, "solve", interrupted)
-    assert pareto_front(PhaseResult(problem, result.solution)) == rows
+    assert (
+        pareto_front(PhaseResult(problem, result.solution, result.compiled))
+        == rows
+    )
     study = SimpleNamespace(foot_ground=problem.settings)
     told = SimpleNamespace(
         study=study,
-        result=PhaseResult(problem, result.solution),
+        result=PhaseResult(problem, result.solution, result.compiled),
         success=True,
         verdict=lambda *_: Verdict((), ()),
         write=lambda *_: (

@@ -38,10 +38,28 @@ def _by_x(problem, result):
     free = [p.free for p in problem.parameters]
     index = problem.program.indices(problem.parameter_variables[free])
     columns = program.unknowns.column_of(index)
-    border = program.unknowns.column_of(intervals._shared(problem))
+    border = program.unknowns.column_of(intervals._shared(result))
     found = response(program, y, columns, border)
     unit = program.unknowns.scale[index][:, None]
     return index, unit * found.by_gradient @ program.unknowns.matrix.T
+
+
+def test_intervals_are_of_the_program_that_was_solved():
+    """Whatever is added to it and solved afterwards."""
+    made = rises_in_device(1, nodes_per_second=20)
+    settings = InteractionSettings(solver=Solver(20.0))
+    problem = InteractionCalibration(
+        made.model, made.trials, made.contact, settings
+    )
+    first = problem.solve()
+    before = uncertainty(first).sd
+    prog = problem.program.prog
+    stiffness = problem.variables_of(["thigh.normal_stiffness"])
+    prog.AddQuadraticErrorCost(np.eye(1) * 10.0, np.array([6e3]), stiffness)
+    surplus = prog.NewContinuousVariables(1)
+    prog.AddQuadraticCost((surplus[0] - 1.0) ** 2)
+    assert not np.allclose(uncertainty(problem.solve()).sd, before, rtol=0.1)
+    np.testing.assert_allclose(uncertainty(first).sd, before, rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -111,7 +129,7 @@ def test_a_prior_pulls_nothing(coarse):
         if not isinstance(block.batch.kernel, LogKernel):
             slope = np.einsum("no,now->nw", block.values(x), block.jacobian(x))
             accumulate(g, block, slope)
-    jerk = intervals._jerk_weights(problem) * x
+    jerk = intervals._jerk_weights(problem, len(x)) * x
     g += program.unknowns.matrix.T @ jerk
     for movement in problem.movements:
         weights = movement.grid.quadrature[:, None]
@@ -157,8 +175,8 @@ def test_noise_of_every_foot_counts():
             term.weights = np.full(21, 0.05 * size)
             tracked.append(term)
     unknowns = SimpleNamespace(scale=np.ones(42))
-    problem = SimpleNamespace(
-        program=SimpleNamespace(indices=lambda v: v),
+    result = SimpleNamespace(
+        problem=SimpleNamespace(program=SimpleNamespace(indices=lambda v: v)),
         compiled=SimpleNamespace(
             rows=SimpleNamespace(row_of=lambda v: np.full(len(v), -1)),
             unknowns=unknowns,
@@ -170,12 +188,12 @@ def test_noise_of_every_foot_counts():
     found = SimpleNamespace(by_bounds=np.zeros((2, 0)))
     by_x = np.zeros((2, 42))  # each parameter follows one foot
     by_x[0, variables[:, 0]] = by_x[1, variables[:, 1]] = 1.0
-    parts = list(intervals._noise(movement, problem, found, by_x, 6.0, 4))
+    parts = list(intervals._noise(movement, result, found, by_x, 6.0, 4))
     first, second = (np.linalg.norm(p, axis=1) for p in parts)
     assert first[0] > 0.0 and first[1] == 0.0
     assert second[1] == pytest.approx(2.0 * first[0]) and second[0] == 0.0
     for term in tracked[:2]:  # one that nobody measured
         term.sigma = np.full(term.sigma.shape, np.inf)
-    none, again = intervals._noise(movement, problem, found, by_x, 6.0, 4)
+    none, again = intervals._noise(movement, result, found, by_x, 6.0, 4)
     assert not none.any()
     np.testing.assert_array_equal(again, parts[1])
