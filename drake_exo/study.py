@@ -173,6 +173,7 @@ class Study:
         sole: law of what the feet wear; without it, their contact is
             calibrated.
         device: how the device was measured, and its joints' friction.
+            Classes of all settings are in `drake_exo.settings`.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> model, trials = synthetic.rises_on_spheres(2, nodes_per_second=40)

@@ -1,4 +1,4 @@
-"""Settings of the Phases A to D, as they stand in a study file."""
+"""Settings of a study, as they stand in its file."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
@@ -36,6 +36,7 @@ from drake_exo.contact.strap import (
 )
 from drake_exo.errors import InputError, check_bounds
 from drake_exo.files.schema import not_negative, positive, quantity
+from drake_exo.measurement.settings import Device, Filter, JointDrive
 from drake_exo.model.assembly import without_side
 from drake_exo.model.segments import CUFFED, place
 from drake_exo.nlp.ipopt import SolverOptions
@@ -45,12 +46,15 @@ __all__ = [
     "CuffFreedom",
     "DesignLimits",
     "DesignSettings",
+    "Device",
     "EndTolerance",
     "ErrorSizes",
+    "Filter",
     "FootGroundSettings",
     "GainFreedom",
     "InteractionNoise",
     "InteractionSettings",
+    "JointDrive",
     "JointFreedom",
     "Population",
     "PredictionEnds",

@@ -72,6 +72,9 @@ class Axes:
 class JointDrive:
     """Identified dynamics of one joint of the device, both legs together.
 
+    >>> JointDrive(coulomb_nm=2.0, viscous_nm_s=0.3).stiffness_nm_rad
+    0.0
+
     Attributes:
         inertia_kg_m2: of rotor and gear, reflected to the joint (links have
             theirs in `exoskeleton`).
@@ -93,6 +96,10 @@ class JointDrive:
 @dataclass(frozen=True)
 class Device:
     """How the exoskeleton was measured, and its model where it was not.
+
+    >>> device = Device(knee=JointDrive(coulomb_nm=2.0), carries_itself=1.0)
+    >>> device.of("exo_knee", beside="knee").coulomb_nm
+    2.0
 
     Attributes:
         encoder_legs, moment_legs: legs whose angles and moments the files
@@ -431,6 +438,9 @@ class Standing:
 @dataclass(frozen=True)
 class Filter:
     """Zero-lag Butterworth low-pass filter.
+
+    >>> Filter(cutoff_hz=10.0)
+    Filter(cutoff_hz=10.0, order=4)
 
     Attributes:
         cutoff_hz: frequency that is damped to 1/sqrt(2) after both passes.
