@@ -251,11 +251,14 @@ def _told(entry: Entry) -> str:
 def _found(patterns, folder: Path, key: str) -> list[Entry]:
     paths: dict[Path, None] = {}
     for pattern in patterns:
-        hits = sorted(glob.glob(str(folder / pattern), recursive=True))
-        hits = [hit for hit in hits if Path(hit).is_file()]
+        # The folder's own name may hold what is special in a pattern.
+        hits = sorted(glob.glob(pattern, root_dir=folder, recursive=True))
+        hits = [hit for hit in hits if (folder / hit).is_file()]
         if not hits:
             raise InputError(f"{key}: {pattern} finds no file; check the path")
-        paths |= dict.fromkeys(Path(os.path.normpath(hit)) for hit in hits)
+        paths |= dict.fromkeys(
+            Path(os.path.normpath(folder / hit)) for hit in hits
+        )
     return [Entry(_name(path, folder), path) for path in paths]
 
 

@@ -9,6 +9,7 @@ import yaml
 from drake_exo.batch.file import (
     SOLE_KEYS,
     BatchFile,
+    Entry,
     SeedRange,
     _digests,
     changed_text,
@@ -91,6 +92,16 @@ def test_bad_files(text, words):
 def test_a_pattern_that_finds_nothing(folder):
     with pytest.raises(InputError, match="finds no file"):
         entries(batch("steps: [check]\nstudies: [no/*.yaml]"), folder)
+
+
+def test_a_folder_whose_name_looks_like_a_pattern(folder):
+    odd = folder / "exo[1]*"
+    (odd / "carl").mkdir(parents=True)
+    (odd / "carl" / "study.yaml").write_text("")
+    text = "steps: [check]\nstudies: ['*/study.yaml', ../anna/study.yaml]"
+    (own, other), _ = entries(batch(text), odd)
+    assert own == Entry("carl", odd / "carl" / "study.yaml")
+    assert other == Entry("anna", folder / "anna" / "study.yaml")
 
 
 def test_two_of_one_name(folder):
