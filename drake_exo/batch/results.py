@@ -417,6 +417,9 @@ def write_results(batch: Batch) -> list[str]:
         InputError: a result file is damaged.
     """
     rows = rows_of(batch)
+    for name in _FIGURES:  # those of an earlier batch file, too
+        for old in batch.out.glob(name.replace(".png", "*.png")):
+            old.unlink()
     pictures: dict[str, str] = {}
     if any(row.phase == "predict" and row.trial for row in rows):
         rows += peak_rows(batch, rows)
@@ -437,7 +440,7 @@ def is_told(batch: Batch) -> bool:
 
 
 def summary(batch: Batch) -> dict:
-    """What summary.json holds: counts, and how each task ended."""
+    """What summary.json holds: counts, replays, and how each task ended."""
     found = batch.outcomes
     return {
         "tasks": [
@@ -451,6 +454,7 @@ def summary(batch: Batch) -> dict:
             }
             for task in batch.tasks
         ],
+        "replays": _links(batch),
         "verdicts": dict(Counter(row.verdict for row in found.values())),
         "verdict": FAILS if batch.bad else HOLDS,
     }

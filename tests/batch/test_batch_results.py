@@ -184,6 +184,24 @@ def test_told_once(batch):
     assert batch.exit_code == 3
 
 
+def test_a_replay_that_was_saved_since_is_told(batch):
+    write_results(batch)
+    again = replace(batch, fresh=0)
+    (batch.out / "anna/calibrate/replay.html").write_text("")
+    assert not is_told(again)
+    write_results(again)
+    assert is_told(again)
+    page = (batch.out / "report.html").read_text()
+    assert '"anna/calibrate/replay.html"' in page
+
+
+def test_figures_of_an_earlier_batch_file_do_not_stay(batch):
+    for name in ("over_subjects.png", "bland_altman_m=1.png"):
+        (batch.out / name).write_text("")
+    write_results(batch)
+    assert not list(batch.out.glob("*.png"))
+
+
 def test_what_is_accepted_does_not_hold_and_ends_with_0(batch):
     (task, *_) = batch.tasks
     found = outcome(task, 0, "audit: off by 3 N", "does not hold")
