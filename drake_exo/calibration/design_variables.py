@@ -205,7 +205,7 @@ def _angles(joint: str, wearers, count: int) -> np.ndarray:
     lower, upper = (
         float(np.rad2deg(f([f(x) for x in seen]))) for f in (min, max)
     )
-    points = np.round(np.linspace(lower, upper, count))
+    points = np.round(np.linspace(lower, upper, count)) + 0.0  # no -0
     return np.unique(points) if count > 1 else np.zeros(1)
 
 

@@ -807,6 +807,17 @@ def test_factors_are_over_the_range_that_a_joint_moves_in(wearer):
     ]
 
 
+def test_a_factor_a_little_below_zero_is_at_zero(wearer):
+    (own,) = wearer.trials
+    q = own.q.copy()
+    knee = own.coordinates.index("exo_knee")
+    q[:, knee] -= q[:, knee].min() + np.deg2rad(0.3)
+    bent = replace(wearer, trials=(replace(own, q=q),))
+    settings = replace(SETTINGS, points=3)
+    names = [v.name for v in design_variables([bent], settings)]
+    assert "exo_knee.factor_at_0_deg" in names
+
+
 def test_what_no_drive_gives_has_no_factor(wearer):
     """Friction as recorded; springs and friction of a passive device."""
     (own,) = wearer.trials
