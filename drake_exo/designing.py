@@ -15,7 +15,11 @@ import numpy as np
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_cuffs import fewer
 from drake_exo.calibration.design_result import DesignResult, works
-from drake_exo.calibration.design_variables import GAINS, design_of
+from drake_exo.calibration.design_variables import (
+    GAINS,
+    Variable,
+    design_of,
+)
 from drake_exo.calibration.phases import check_has_cuffs, check_knows_cuffs
 from drake_exo.calibration.problem import solved
 from drake_exo.calibration.settings import (
@@ -427,12 +431,23 @@ _KINDS = {
 }
 
 
+def _is(variable: Variable, kind: str) -> bool:
+    return variable.name.partition(".")[2].startswith(_KINDS[kind])
+
+
 def _with_parts(made: Designed) -> Designed:
-    """With the norm of the forces that each kind of variable reaches alone."""
+    """With the norm of the forces that each kind of variable reaches alone.
+
+    Of each kind of which something may change.
+    """
     reached = {"nothing": made.today.norm_n}
-    fewer = ("fewer cuffs",) if made.found.problem.without else ()
+    problem = made.found.problem
+    kinds = [
+        k for k in _KINDS if any(v.free and _is(v, k) for v in problem.design)
+    ]
+    fewer = ("fewer cuffs",) if problem.without else ()
     try:
-        for kind in (*_KINDS, *fewer):
+        for kind in (*kinds, *fewer):
             found = _alone(made, kind)
             if found.solution.was_stopped:
                 raise KeyboardInterrupt
@@ -451,7 +466,7 @@ def _alone(made: Designed, kind: str) -> DesignResult:
         held = {
             v.name: v.today
             for v in made.today.problem.design
-            if not v.name.partition(".")[2].startswith(_KINDS[kind])
+            if not _is(v, kind)
         }
         how = {"held": held}
     return DesignProblem(

@@ -19,6 +19,7 @@ from drake_exo.calibration import design_cuffs
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_cuffs import Tried
 from drake_exo.calibration.design_result import device_work
+from drake_exo.calibration.design_variables import Variable
 from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.settings import (
     CuffFreedom,
@@ -108,10 +109,33 @@ def test_a_design_stays_where_it_is_interrupted_between_parts(monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(designing, "_alone", interrupted)
-    own = SimpleNamespace(norm_n=2.0, problem=SimpleNamespace(without=()))
+    free = [Variable("thigh.along_m", "m", -0.1, 0.1, 0.0, 0.01)]
+    problem = SimpleNamespace(without=(), design=free)
+    own = SimpleNamespace(norm_n=2.0, problem=problem)
     found = Designed(DesignSettings(), own, own, {}, {})
     made = designing._with_parts(found)
     assert made.stopped and made.parts == {"nothing": 2.0, "all": 2.0}
+
+
+def test_what_cannot_change_is_no_part(monkeypatch):
+    """Such as the torques of a device that nothing drives."""
+    monkeypatch.setattr(
+        designing,
+        "_alone",
+        lambda made, kind: SimpleNamespace(
+            norm_n=3.0,
+            solution=SimpleNamespace(was_stopped=False, success=True),
+        ),
+    )
+    variables = [
+        Variable("thigh.along_m", "m", 0.0, 0.0, 0.0, 0.01),
+        Variable("thigh.strap_normal_n_m", "m/N", 0.0, 1e-3, 0.0, 1e-4),
+        Variable("exo_knee.along_m", "m", 0.0, 0.0, 0.0, 0.01),
+    ]
+    problem = SimpleNamespace(without=(), design=variables)
+    own = SimpleNamespace(norm_n=4.0, problem=problem)
+    made = designing._with_parts(Designed(DesignSettings(), own, own, {}, {}))
+    assert list(made.parts) == ["nothing", "straps alone", "all"]
 
 
 @pytest.mark.slow
