@@ -45,6 +45,15 @@ _LONGEST = 40  # characters of a value in a message
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
+class _Values(yaml.SafeLoader):
+    """Of values that may be anything; a date is text, as it is elsewhere."""
+
+
+_Values.add_constructor(
+    "tag:yaml.org,2002:timestamp", yaml.SafeLoader.construct_scalar
+)
+
+
 def load(path: str | Path, cls: type[T]) -> T:
     """Read the YAML file `path` as an instance of the dataclass `cls`.
 
@@ -321,7 +330,13 @@ class _Reader:
         self, node: yaml.Node, hint: Any, where: str, meta: Mapping
     ) -> Any:
         if hint is Any:
-            return yaml.SafeLoader("").construct_object(node, deep=True)
+            try:
+                return _Values("").construct_object(node, deep=True)
+            except (yaml.YAMLError, ValueError) as error:
+                raise self.error(
+                    node,
+                    f"{where} is no text, number, list or mapping; give one",
+                ) from error
         if not isinstance(node, yaml.ScalarNode) or _is_null(node):
             raise self._wrong(node, hint, where, meta)
         text = node.value

@@ -277,3 +277,16 @@ def test_a_subclass_does_for_what_it_inherits():
     schema.check(Holder(Longer()), Holder, "h")
     with pytest.raises(InputError, match=r"h: segment\.length_m is 7"):
         schema.check(Holder(Longer(7.0)), Holder, "h")
+
+
+def test_dates_are_text_where_anything_may_stand():
+    text = GOOD.replace("{a: [1, 2]}", "[2024-01-31, 2024-13-01]")
+    extra = schema.load_text(text, Study).extra
+    assert extra == ["2024-01-31", "2024-13-01"]
+
+
+@pytest.mark.parametrize("value", ["!of_ours 3", "{[1]: 2}", "!!int x"])
+def test_what_is_no_value_is_refused_where_anything_may_stand(value):
+    text = GOOD.replace("{a: [1, 2]}", value)
+    with pytest.raises(InputError, match="extra is no text, number"):
+        schema.load_text(text, Study)
