@@ -147,27 +147,30 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
         )
     inertia = link.find("inertial/inertia")
     if inertia is None:
-        return
+        inertia = ET.Element("inertia")  # a point, or nothing
+
+    def number(key: str, text: str) -> float:
+        try:
+            found = float(text)
+        except ValueError:
+            found = np.nan
+        if not np.isfinite(found):  # Drake would take another mass
+            raise InputError(f"{where}: {key} is {text!r}; give a number")
+        return found
 
     def value(key: str) -> float:
-        text = inertia.get(key) or inertia.findtext(key) or "0"
-        try:
-            return float(text)
-        except ValueError as error:
-            raise InputError(f"{where}: {key} is {text!r}") from error
+        return number(key, inertia.get(key) or inertia.findtext(key) or "0")
 
     a, b, c = moments = [value(key) for key in _MOMENTS]
     mass = link.find("inertial/mass")
-    if mass is not None and any(moments):
-        text = mass.get("value") or mass.text or ""
-        try:
-            heavy = float(text) > 0.0
-        except ValueError:
-            heavy = False
-        if not heavy:  # Drake would take another one
+    if mass is not None:
+        text = (mass.get("value") or mass.text or "").strip()
+        kg = number("mass", text or "0")
+        if kg < 0.0 or (kg == 0.0 and any(moments)):  # as above
+            turns = "moments of inertia but " if any(moments) else ""
             raise InputError(
-                f"{where}: has moments of inertia but a mass of "
-                f"{text.strip() or 'nothing'}; give one above zero"
+                f"{where}: has {turns}a mass of {text or 'nothing'}; give one "
+                "above zero"
             )
     xy, xz, yz = (value(key) for key in _PRODUCTS)
 

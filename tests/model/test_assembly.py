@@ -891,6 +891,16 @@ def test_a_joint_that_follows_another_is_refused():
             ],
             "joint 'motor': what it turns has no inertia",
         ),
+        (
+            [
+                ('<mass value="2.4"/>', '<mass value="-2.4"/>'),
+                (
+                    'ixx="0.02" iyy="0.02" izz="0.006"',
+                    'ixx="0" iyy="0" izz="0"',
+                ),
+            ],
+            "link 'calf': has a mass of -2.4; give one above zero",
+        ),
         ([('type="revolute"', 'type="planar"')], "joint 'motor' is planar"),
         ([('"calf"', '"calf_shell"')], "rename the cuff"),
     ],
@@ -900,6 +910,20 @@ def test_devices_without_dynamics_are_refused(change, words):
     own = worn if change[0][1] == '"calf_shell"' else ANKLE
     with pytest.raises(InputError, match=words):
         edited(own, *change).tree  # noqa: B018
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "1e400", "none"])
+@pytest.mark.parametrize("key", ["ixx", "iyy", "ixz"])
+def test_inertias_that_are_no_numbers_are_refused(key, text):
+    """As CAD writes them of what it has no material for."""
+    told = {"ixx": "0.02", "iyy": "0.02", "izz": "0.006", "ixy": "0"}
+    told |= {"ixz": "0", key: text}
+    inertia = " ".join(f'{k}="{v}"' for k, v in told.items())
+    old = 'ixx="0.02" iyy="0.02" izz="0.006" ixy="0" ixz="0"'
+    with pytest.raises(
+        InputError, match=f"link 'calf': {key} is '{text}'; give a number"
+    ):
+        edited(ANKLE, (old, inertia))
 
 
 ROUND = '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
@@ -1020,6 +1044,7 @@ CRANK = BAR + HINGE.format("shank", "bar")
         # For which SDF has 1 kg and 1 kg m^2.
         (CRANK + '<link name="tag"/>', "'tag': has no mass or not all"),
         (CRANK.replace("<mass>1</mass>", ""), "'bar': has no mass or not all"),
+        (CRANK.replace("<mass>1<", "<mass>inf<"), "'bar': mass is 'inf'; give"),
         ('<model name="e">' + BAR + "</model>", "models in one"),
     ],
 )
