@@ -435,16 +435,29 @@ def _ends(joint: ET.Element) -> set[str | None]:
 
 
 def _without_meshes(owner: ET.Element) -> None:
-    """Take out the user's meshes, and what would collide.
+    """Take out the user's meshes, what would collide, and shapes of no size.
 
     Meshes lie elsewhere, and results must be readable on any machine; links
-    of a device overlap, and Drake would push them apart.
+    of a device overlap, and Drake would push them apart; a plate without
+    thickness, it cannot draw.
     """
     for link in owner.findall("link"):
         for shape in link.findall("visual") + link.findall("collision"):
             mesh = shape.find("geometry/mesh") is not None
-            if mesh or shape.tag == "collision":
+            if mesh or shape.tag == "collision" or not _has_size(shape):
                 link.remove(shape)
+
+
+def _has_size(shape: ET.Element) -> bool:
+    """Whether all that a shape says of its size are numbers above zero."""
+    told: list[str] = []
+    for element in shape.iterfind("geometry//*"):
+        told += [*element.attrib.values(), element.text or ""]
+    try:
+        sizes = [float(size) for size in " ".join(told).split()]
+    except ValueError:
+        return False
+    return all(0.0 < size < np.inf for size in sizes)
 
 
 def add_device(

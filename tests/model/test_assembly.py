@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from opensim_answers import expanded
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.framework import DiagramBuilder
 from scipy.interpolate import make_interp_spline
 
 from drake_exo.calibration.problem import foot_turn
@@ -924,6 +926,16 @@ def test_inertias_that_are_no_numbers_are_refused(key, text):
         InputError, match=f"link 'calf': {key} is '{text}'; give a number"
     ):
         edited(ANKLE, (old, inertia))
+
+
+@pytest.mark.parametrize("wide", ["0.01", "0", "-0.01", "nan", "inf", "w"])
+def test_a_shape_without_size_is_not_drawn(wide):
+    """Drake would end the program where one is looked at."""
+    model = edited(ANKLE, ("0.03 0.01 0.3", f"0.03 {wide} 0.3"))
+    shapes = model.assembly.device.text.count("<visual")
+    assert shapes == (wide == "0.01")
+    plant, _ = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
+    assert model.plant(plant).num_bodies() > 6
 
 
 ROUND = '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
