@@ -36,9 +36,10 @@ from drake_exo.calibration.wearers import (
     assisted,
     check_wearers,
     drawn,
-    joint_friction,
+    passive_torques,
     posture_law,
     sized,
+    springs_answer,
     with_more,
 )
 from drake_exo.contact.bushing import TANGENTIAL
@@ -293,7 +294,7 @@ def movements(
         settings: grid and solver.
         design: nothing changed by default.
         today: who wears it, and the own movements on the cuffs of today:
-            then drives answer where the device goes another way than there.
+            then its joints answer where the device goes another way than there.
 
     Raises:
         InputError: a movement cannot be solved; or likewise.
@@ -309,7 +310,7 @@ def movements(
     found = []
     progress = Progress("own movements", len(trials))
     for k, trial in enumerate(trials):
-        answers = {}
+        answers = springs_answer(trial, contact, study.device)
         if today is not None:
             who, own = today
             answers[trial.name] = answer(trial, who, own[k].trial, design)
@@ -337,8 +338,8 @@ def _assisted(
     study: Study, trial: Trial, contact: ContactModel, design: Design
 ) -> Trial:
     """A study's trial with torques as designed where the device was."""
-    friction = joint_friction(trial, study.model, contact, study.device)
-    return assisted(trial, design, contact, friction)
+    passive = passive_torques(trial, study.model, contact, study.device)
+    return assisted(trial, design, contact, passive)
 
 
 def on_design(

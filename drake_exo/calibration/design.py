@@ -252,17 +252,30 @@ class _Wearing(PhaseProblem):
         names, posed = movement.coordinates, self._posed
         device = names.is_device_joint
         torques, today = movement.torque[:, device], at.moments[:, device]
-        friction, slope = self.wearer.friction(at), self.wearer.slope(at)
+        passive, slope = self.wearer.passive(at), self.wearer.slope(at)
+        springs = self.wearer.springs
         angles, rates = (x[:, names.device_columns] for x in (at.q, at.v))
         self._ways.append(movement.grid.quadrature[:, None] * rates)
         for i, joint in enumerate(names.device):
             own = posed.assistance(joint)
-            if not own:
+            if not own and not springs[i]:
                 movement.bound(torques[:, i], today[:, i], today[:, i])
+                continue
+            if not own:
+                bent = movement.grid.q[:, names.index(joint)]
+                rows = np.hstack([np.eye(len(bent))] * 2)
+                rows[:, len(rows) :] *= springs[i]
+                self.program.prog.AddLinearEqualityConstraint(
+                    rows / MOMENT_UNIT,
+                    (today + springs * angles)[:, i] / MOMENT_UNIT,
+                    np.r_[
+                        torques[:, i], movement.grid.q[:, names.index(joint)]
+                    ],
+                )
                 continue
             factors = np.array([posed.variables[n] for n in own])
             known = assistance_of({n.partition(".")[2]: 1.0 for n in own})
-            drive = today[:, i] - friction[:, i]
+            drive = today[:, i] - passive[:, i]
             parts, more = (
                 known.parts(
                     torque,
@@ -272,8 +285,9 @@ class _Wearing(PhaseProblem):
                 )
                 for torque in (drive, drive + 1.0)
             )
-            given = friction[:, [i]] / MOMENT_UNIT
+            given = (passive + springs * angles)[:, [i]] / MOMENT_UNIT
             there = np.sum(slope[:, i] * angles, axis=1, keepdims=True)
+            stays = np.tile(np.diag(-springs)[i], (len(angles), 1))
             self.program.add_constraints(
                 f"{movement.name} {joint} assistance",
                 AssistanceKernel(len(names.device), len(own)),
@@ -286,7 +300,9 @@ class _Wearing(PhaseProblem):
                 ),
                 given,
                 given,
-                data=np.hstack([parts, more - parts, slope[:, i], there]),
+                data=np.hstack(
+                    [parts, more - parts, slope[:, i], there, stays]
+                ),
             )
 
     def _add_forces(self, movement: TrialProgram) -> None:
@@ -671,7 +687,7 @@ class _Wearing(PhaseProblem):
             limited["pressure", cuff] = 1e-3 * pressing / area
             limited[_RATE, cuff] = np.diff(pressing) / np.diff(at.times)
             limited["size", cuff] = np.abs(pressing)
-        given = assisted(at, design, friction=self.wearer.friction(at)).moments
+        given = assisted(at, design, passive=self.wearer.passive(at)).moments
         device = given[:, movement.coordinates.is_device_joint]
         power = device - (self._given(at) - self.wearer.drive(at))
         power *= at.v[:, movement.coordinates.device_columns]

@@ -37,7 +37,11 @@ from drake_exo.collocation.trial_program import Tracking
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import Design, links_above, movable
 from drake_exo.errors import InputError
-from drake_exo.measurement.exoskeleton import friction_moments
+from drake_exo.measurement.exoskeleton import (
+    friction_moments,
+    spring_moments,
+    spring_stiffness,
+)
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import Device
 from drake_exo.measurement.trial import Trial
@@ -114,13 +118,13 @@ class OwnMovement(PhaseProblem):
             return terms
         (known,) = terms
         names = movement.coordinates
-        slope, angles = answer.at(movement.grid.times)
+        slope, off = answer.at(movement.grid.times)
         own = names.is_device_joint
         # Torques are as measured but for what they answer.
         by = np.zeros((*known.target.shape, len(names.device)))
         by[:, own] = -slope
         there = np.zeros(known.target.shape)
-        there[:, own] = np.einsum("nij,nj->ni", slope, angles)
+        there[:, own] = off
         variables = [known.variables, movement.grid.q[:, names.device_columns]]
         return [
             Tracking(
@@ -135,36 +139,37 @@ class OwnMovement(PhaseProblem):
 
 @dataclass(frozen=True)
 class Answer:
-    """How drives answer where a device goes another way in a movement.
+    """How drives and springs answer where a device goes another way.
 
     Attributes:
         times: (n,) from its start [s].
         slope: (n, m, m) of each joint's torque by the device's angles
             [N m/rad].
-        angles: (n, m) at which torques are as measured [rad].
+        there: (n, m) that times the angles at which torques are as measured
+            [N m].
     """
 
     times: np.ndarray
     slope: np.ndarray
-    angles: np.ndarray
+    there: np.ndarray
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Slope and angles at other times (k,)."""
+        """Slope, and what is taken off, at other times (k,)."""
         return tuple(
-            CubicSpline(self.times, x)(times) for x in (self.slope, self.angles)
+            CubicSpline(self.times, x)(times) for x in (self.slope, self.there)
         )
 
     def given(self, trial: Trial, times: np.ndarray) -> np.ndarray:
-        """What drives give more (k, m) where a device goes as in a trial [N m].
+        """What they give more (k, m) where a device goes as in a trial [N m].
 
         Args:
             trial: solved.
             times: (k,) [s].
         """
-        slope, angles = self.at(times)
+        slope, there = self.at(times)
         q = CubicSpline(trial.times, trial.q)(times)
-        off = q[:, trial.coordinates.device_columns] - angles
-        return np.einsum("nij,nj->ni", slope, off)
+        angles = q[:, trial.coordinates.device_columns]
+        return np.einsum("nij,nj->ni", slope, angles) - there
 
 
 def posture_law(
@@ -247,16 +252,16 @@ def posture_slope(
     )
 
 
-def joint_friction(
+def passive_torques(
     trial: Trial, model: Model, contact: ContactModel, device: Device | None
 ) -> np.ndarray:
-    """Friction (n, joints) of the device's joints in a trial [N m].
+    """What friction and springs give (n, joints) in a trial [N m].
 
-    As a bench identified it, corrected by what a calibration has found that
-    bench to be off; zero where there was none.
+    As a bench identified them, friction corrected by what a calibration has
+    found that bench to be off; zero where there was none.
 
     Args:
-        trial: whose rates count.
+        trial: whose angles and rates count.
         model: subject and device.
         contact: with the calibration's posterior, if there is one.
         device: as the study file describes it.
@@ -264,8 +269,9 @@ def joint_friction(
     if device is None:
         return np.zeros((len(trial.times), len(trial.coordinates.device)))
     share = 1.0 - _found(contact, "friction", trial.coordinates.device)
-    found = friction_moments(device, model.tree, trial.v)
-    return np.maximum(share, 0.0) * found
+    friction = friction_moments(device, model.tree, trial.v)
+    springs = spring_moments(device, model.tree, trial.q)
+    return np.maximum(share, 0.0) * friction + springs
 
 
 def _found(contact: ContactModel | None, error: str, joints) -> np.ndarray:
@@ -291,7 +297,7 @@ def assisted(
     trial: Trial,
     design: Design,
     contact: ContactModel | None = None,
-    friction: np.ndarray | float = 0.0,
+    passive: np.ndarray | float = 0.0,
 ) -> Trial:
     """A trial with the device's torques as a design has them.
 
@@ -300,17 +306,17 @@ def assisted(
     more the person bears less. Cuffs that are left out are not in it.
 
     Args:
-        trial: measured, with the torques of drives and friction together.
+        trial: measured, with all torques of the device's joints together.
         design: acts on the drives, at the true angles of their joints.
         contact: whose calibration has found how far encoders are off.
-        friction: see `joint_friction`.
+        passive: see `passive_torques`.
     """
     trial = _without(trial, design.removed)
     if trial.moments is None or not design.given:
         return trial
     names = trial.coordinates
     share = trial.times / trial.duration
-    drive = trial.moments[:, names.is_device_joint] - friction
+    drive = trial.moments[:, names.is_device_joint] - passive
     angles = _device_angles(trial, contact)
     torques = design.torques(
         names.device, drive, angles, trial.v[:, names.device_columns], share
@@ -337,7 +343,8 @@ class Wearer:
             kept today need not be kept.
         differ: cuff -> what mats show of its force today over what the model
             has; 1 where nothing measured it.
-        device: as the study file describes it: what its joints' friction is.
+        device: as the study file describes it: friction and springs of its
+            joints.
         slid: cuff -> its migration today as encoders and markers tell it over
             what the model has; 1 where nothing does.
         law: of its device's drives, see `posture_law`.
@@ -361,12 +368,17 @@ class Wearer:
         """Factor on the model's migration for what encoders would tell."""
         return self.slid.get(cuff, 1.0)
 
-    def friction(self, trial: Trial) -> np.ndarray:
-        """Of the device's joints in a trial, see `joint_friction`."""
-        return joint_friction(trial, self.model, self.contact, self.device)
+    def passive(self, trial: Trial) -> np.ndarray:
+        """Of the device's joints in a trial, see `passive_torques`."""
+        return passive_torques(trial, self.model, self.contact, self.device)
+
+    @property
+    def springs(self) -> np.ndarray:
+        """Stiffness across the device's joints (m,) [N m/rad]."""
+        return spring_stiffness(self.device, self.model.coordinates)
 
     def drive(self, trial: Trial) -> np.ndarray:
-        """What the device's joints give (n, m) in a trial but friction [N m].
+        """What drives give (n, m) in a trial [N m].
 
         Nothing where the study's device model gives the torques of one that
         bears nothing of itself: springs and rotors are no drives.
@@ -376,7 +388,7 @@ class Wearer:
         modelled = self.device is not None and "device model" in source
         if modelled and not self.device.carries_itself:
             return np.zeros(given.shape)
-        return given - self.friction(trial)
+        return given - self.passive(trial)
 
     def slope(self, trial: Trial) -> np.ndarray:
         """Of the drives' torques in a trial, see `posture_slope`."""
@@ -384,13 +396,13 @@ class Wearer:
 
 
 def answer(trial: Trial, wearer: Wearer, own: Trial, design: Design) -> Answer:
-    """How drives answer on a design.
+    """How drives answer on a design, and springs on any.
 
     Args:
         trial: measured, today.
         wearer: whose drives' law counts.
-        own: the own movement on the cuffs of today, where the device's torques
-            are as measured.
+        own: the own movement on the cuffs of today, where drives give what
+            was measured; springs do where the device was measured.
         design: acts on them, see `assisted`.
     """
     names = trial.coordinates
@@ -402,11 +414,23 @@ def answer(trial: Trial, wearer: Wearer, own: Trial, design: Design) -> Answer:
         for today in (np.ones(angles.shape), np.zeros(angles.shape))
     )
     slope = posture_slope(wearer.model, wearer.law, own.q)
-    return Answer(
-        own.times,
-        (given - none)[:, :, None] * slope,
-        own.q[:, names.device_columns],
-    )
+    slope *= (given - none)[:, :, None]
+    there = np.einsum("nij,nj->ni", slope, own.q[:, names.device_columns])
+    springs = wearer.springs
+    return Answer(own.times, slope - np.diag(springs), there - springs * angles)
+
+
+def springs_answer(
+    trial: Trial, contact: ContactModel, device: Device | None
+) -> dict[str, Answer]:
+    """How springs answer on the cuffs that a trial was measured on, if any."""
+    names = trial.coordinates
+    springs = spring_stiffness(device, names)
+    if not springs.any():
+        return {}
+    slope = np.tile(np.diag(-springs), (len(trial.times), 1, 1))
+    there = -springs * _device_angles(trial, contact)
+    return {trial.name: Answer(trial.times, slope, there)}
 
 
 def _without(trial: Trial, removed: Sequence[str]) -> Trial:

@@ -472,10 +472,10 @@ class AssistanceKernel:
 
     That is linear in k design variables; the torque of today, which some of
     them multiply, changes with the device's posture. Inputs: torque [N m],
-    the device's m angles [rad], the variables (k). Data (n, 2 k + m + 1):
+    the device's m angles [rad], the variables (k). Data (n, 2 k + 2 m + 1):
     torque of today by each variable, its change by each with the torque of
-    today, slope of that by the angles [N m/rad], and slope times angles of
-    today [N m].
+    today, slope of that by the angles [N m/rad], slope times angles of today
+    [N m], and the slope of what no variable multiplies.
 
     Args:
         num_angles, num_points: m and k.
@@ -483,32 +483,35 @@ class AssistanceKernel:
 
     def __init__(self, num_angles: int, num_points: int):
         self._at = np.cumsum([1, num_angles])
-        self._in = np.cumsum([num_points, num_points, num_angles])
+        self._in = np.cumsum([num_points, num_points, num_angles, 1])
         self.sparsity = np.ones((1, 1 + num_angles + num_points), bool)
 
     def _parts(self, x, data):
-        """Variables, torque by each, its change by each, slope."""
+        """Variables, torque by each, its change by each, both slopes."""
         _, angles, factors = np.split(x, self._at, axis=1)
-        today, change, slope, there = np.split(data, self._in, axis=1)
+        today, change, slope, there, springs = np.split(data, self._in, axis=1)
         answer = np.sum(slope * angles, axis=1, keepdims=True) - there
-        return factors, today + change * answer, change, slope
+        return factors, today + change * answer, change, slope, springs
 
     def evaluate(self, x, data):
         """See Kernel."""
-        factors, by, *_ = self._parts(x, data)
+        factors, by, *_, springs = self._parts(x, data)
         given = np.sum(factors * by, axis=1, keepdims=True)
+        angles = x[:, slice(*self._at)]
+        given += np.sum(springs * angles, axis=1, keepdims=True)
         return (x[:, :1] - given) / MOMENT_UNIT
 
     def jacobian(self, x, data):
         """See Kernel."""
-        factors, by, change, slope = self._parts(x, data)
+        factors, by, change, slope, springs = self._parts(x, data)
         more = np.sum(factors * change, axis=1, keepdims=True)
-        J = np.hstack([np.ones((len(x), 1)), -more * slope, -by])
+        by_angles = -more * slope - springs
+        J = np.hstack([np.ones((len(x), 1)), by_angles, -by])
         return J[:, None] / MOMENT_UNIT
 
     def curvature(self, x, weights, data):
         """See Kernel."""
-        _, _, change, slope = self._parts(x, data)
+        _, _, change, slope, _ = self._parts(x, data)
         first, last = self._at
         H = np.zeros((len(x), x.shape[1], x.shape[1]))
         part = slope[:, :, None] * change[:, None] / MOMENT_UNIT

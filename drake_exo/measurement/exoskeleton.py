@@ -198,16 +198,31 @@ def drive_moments(device: Device, tree: PlanarTree, q, v, a) -> np.ndarray:
         q, v, a: (N, nq) motion.
     """
     names, columns = tree.coordinates, tree.coordinates.device_columns
-    inertia, stiffness, rest_deg = _of_joints(
-        device, names, "inertia_kg_m2", "stiffness_nm_rad", "rest_deg"
-    )
+    (inertia,) = _of_joints(device, names, "inertia_kg_m2")
     moments = np.zeros((len(q), len(columns)))
     if device.carries_itself:
         needed = tree.inverse_dynamics(q, v, a)[:, columns]
         moments += device.carries_itself * needed
     moments -= inertia * a[:, columns]
-    moments -= stiffness * (q[:, columns] - np.deg2rad(rest_deg))
-    return moments + friction_moments(device, tree, v)
+    springs = spring_moments(device, tree, q)
+    return moments + springs + friction_moments(device, tree, v)
+
+
+def spring_moments(device: Device, tree: PlanarTree, q) -> np.ndarray:
+    """The part (N, joints) of `drive_moments` that springs give."""
+    names = tree.coordinates
+    stiffness, rest_deg = _of_joints(
+        device, names, "stiffness_nm_rad", "rest_deg"
+    )
+    angles = np.take(q, names.device_columns, axis=1)
+    return -stiffness * (angles - np.deg2rad(rest_deg))
+
+
+def spring_stiffness(device: Device | None, names: Coordinates) -> np.ndarray:
+    """Of the springs across the device's joints (joints,) [N m/rad]."""
+    if device is None:
+        return np.zeros(len(names.device))
+    return _of_joints(device, names, "stiffness_nm_rad")[0]
 
 
 def friction_moments(device: Device, tree: PlanarTree, v) -> np.ndarray:

@@ -84,14 +84,14 @@ def test_a_controller_acts_at_true_angles(wearer):
     contact = replace(wearer.contact, posterior=known)
     spring = Gains(1.0, 0.0, 8.0, 0.0)
     design = Design(gains={"exo_knee": spring, "exo_hip": spring})
-    changed = assisted(own, design, contact, friction=0.7)
+    changed = assisted(own, design, contact, passive=0.7)
     for joint, off in (("exo_knee", 0.05), ("exo_hip", -0.02)):
         more = -8.0 * (own.coordinate(joint) - off)
         np.testing.assert_allclose(
             changed.moment(joint) - own.moment(joint), more
         )
     half = Design(gains={"exo_hip": Gains(0.5)})
-    changed = assisted(own, half, contact, friction=0.7)
+    changed = assisted(own, half, contact, passive=0.7)
     # Friction is there whatever the drive gives.
     expected = 0.5 * (own.moment("exo_hip") - 0.7) + 0.7
     np.testing.assert_allclose(changed.moment("exo_hip"), expected)

@@ -29,8 +29,9 @@ from drake_exo.calibration.settings import (
 from drake_exo.calibration.wearers import (
     OwnMovement,
     Wearer,
+    answer,
     assisted,
-    joint_friction,
+    passive_torques,
     sized,
 )
 from drake_exo.contact.bushing import BushingKinematics
@@ -583,10 +584,10 @@ def test_friction_is_what_bench_and_calibration_say(in_device, driven):
     by_bench = -0.5 * rate - 2.0 * np.tanh(rate / 0.1)
     column = list(driven.coordinates.device).index("exo_knee")
     for found, share in ((contact, 1.0), (benched(contact, friction=0.3), 0.7)):
-        friction = joint_friction(driven, model, found, device)
+        friction = passive_torques(driven, model, found, device)
         np.testing.assert_allclose(friction[:, column], share * by_bench)
         assert np.abs(np.delete(friction, column, axis=1)).max() == 0.0
-    assert not joint_friction(driven, model, contact, None).any()
+    assert not passive_torques(driven, model, contact, None).any()
 
 
 def test_a_factor_is_on_drives_at_true_angles(in_device, driven):
@@ -626,13 +627,47 @@ def test_work_is_that_of_new_drives_and_old_friction(wearer, today):
         (own,) = result.wearers["somebody"].trials
         at = trial.sample(own.times)
         column = list(at.coordinates.device).index("exo_knee")
-        friction = who.friction(at)[:, column]
+        friction = who.passive(at)[:, column]
         expected = 1.2 * (at.moment("exo_knee") - friction) + friction
         np.testing.assert_allclose(own.moment("exo_knee"), expected, atol=0.02)
     rate = trial.v[:, trial.coordinates.index("exo_knee")]
     lost = np.trapezoid(3.0 * rate**2, trial.times)
     more = works_of[False] - works_of[True]
     assert more == pytest.approx(0.2 * lost, rel=0.02)
+
+
+@pytest.mark.parametrize("factor", [1.2, None])
+def test_a_spring_answers_to_where_the_device_goes(wearer, factor):
+    """Whatever its joint's drive gives, and where it has none."""
+    device = Device(knee=JointDrive(stiffness_nm_rad=60.0, rest_deg=20.0))
+    (trial,) = wearer.trials
+    if factor is None:
+        said = {"moments": {"exoskeleton": "device model"}}
+        trial = replace(trial, provenance=said)
+    who = replace(wearer, device=device, trials=(trial,))
+    problem = DesignProblem([who], SETTINGS)
+    held = {v.name: v.today for v in problem.design}
+    assert ("exo_knee.factor_at_0_deg" in held) is (factor is not None)
+    held["thigh.across_m"] = 0.03
+    if factor is not None:
+        held["exo_knee.factor_at_0_deg"] = factor
+    result = DesignProblem([who], SETTINGS, held=held).solve()
+    assert result.solution.success
+    (own,) = result.wearers["somebody"].trials
+    at = trial.sample(own.times)
+    column = list(at.coordinates.device).index("exo_knee")
+    passive = who.passive(at)[:, column]
+    drive = at.moment("exo_knee") - passive
+    angle = at.coordinate("exo_knee")
+    np.testing.assert_allclose(passive, -60.0 * (angle - np.deg2rad(20.0)))
+    off = own.coordinate("exo_knee") - angle
+    assert np.abs(60.0 * off).max() > 0.5
+    expected = (factor or 1.0) * drive + passive - 60.0 * off
+    np.testing.assert_allclose(own.moment("exo_knee"), expected, atol=0.02)
+    # The forecast has it, too.
+    more = answer(trial, who, trial, Design()).given(own, own.times)
+    np.testing.assert_allclose(more[:, column], -60.0 * off, atol=0.02)
+    assert not np.delete(more, column, axis=1).any()
 
 
 def test_migration_comes_to_its_limit_or_as_near_as_it_can(

@@ -466,7 +466,7 @@ def test_a_drive_has_limits_and_friction_is_not_the_drive_s(wearer, today):
     at = wearer.trials[0].sample(movement.grid.times)
     names = wearer.model.coordinates
     place = names.device.index("exo_knee")
-    friction = with_friction.friction(at)[:, place]
+    friction = with_friction.passive(at)[:, place]
     assert np.abs(friction).max() > 1.0
     lower, upper = bounds(problem, movement.torque[:, names.joint("exo_knee")])
     np.testing.assert_allclose(lower, friction - 25.0)
@@ -827,7 +827,7 @@ def test_what_no_drive_gives_has_no_factor(wearer):
     assert any(hip) and not all(hip)
     moments = own.moments.copy()
     joint = own.coordinates.joint("exo_hip")
-    moments[:, joint] = rubs.friction(own)[:, -1]
+    moments[:, joint] = rubs.passive(own)[:, -1]
     assert np.abs(moments[:, joint]).max() > 10.0
     rubs = replace(rubs, trials=(replace(own, moments=moments),))
     assert {n.partition(".")[0] for n in _factors(rubs)} == {"exo_knee"}

@@ -42,7 +42,7 @@ def cases(rng, tree):
         "assistance": (
             AssistanceKernel(2, 3),
             rng.uniform(-1.0, 1.0, (N, 6)),
-            rng.uniform(-20.0, 20.0, (N, 9)),
+            rng.uniform(-20.0, 20.0, (N, 11)),
         ),
         "peak": (
             ForceNormKernel(8.0, 25.0, 0.25),
