@@ -361,7 +361,7 @@ class Designed:
         """The largest of what every drive of the device does.
 
         Of all wearers, or of those that are named: its torque, besides the
-        joint's friction, the joint's speed, and their product.
+        joint's friction and spring, the joint's speed, and their product.
         """
         who = {w.name: w for w in self.found.problem.wearers}
         joints = self.first[0].model.coordinates.device
@@ -590,6 +590,7 @@ class Designed:
                 design.model(w.model),
                 design.contact(w.contact),
                 [m.trial for m in self.after[w.name]],
+                w.springs,
             )
             for w in self.found.problem.wearers
             if w.name in self.after

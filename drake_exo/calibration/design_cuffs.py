@@ -1,10 +1,10 @@
 """How many cuffs a device needs, and whether they hold it.
 
 A design is made with each removable cuff left out in turn. With the person
-held still, the springs of those that are left and gravity give the device's
-joints a potential energy. Where its curvature is negative for some combination
-of them, the device is pushed further off by its own weight: it hangs loose,
-however well a movement on it solves.
+held still, the springs of those that are left, springs across joints and
+gravity give the device's joints a potential energy. Where its curvature is
+negative for some combination of them, the device is pushed further off by its
+own weight: it hangs loose, however well a movement on it solves.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,13 +40,19 @@ class Hold(NamedTuple):
     joint: str
 
 
-def hold(model: Model, contact: ContactModel, trials: Sequence[Trial]) -> Hold:
+def hold(
+    model: Model,
+    contact: ContactModel,
+    trials: Sequence[Trial],
+    springs: np.ndarray | float = 0.0,
+) -> Hold:
     """Least stiffness that holds the device on a person who keeps still.
 
     Args:
         model: subject and device.
         contact: its bushings are the cuffs.
         trials: whose postures are looked at.
+        springs: across the device's joints (m,) [N m/rad].
     """
     tree, names = model.tree, model.coordinates
     device = names.device_columns
@@ -79,6 +85,7 @@ def hold(model: Model, contact: ContactModel, trials: Sequence[Trial]) -> Hold:
         curvature[:, :, i] = change / (2.0 * _STEP_RAD)
     # Alike but for the differences, also where a cuff slips.
     curvature = 0.5 * (curvature + curvature.transpose(0, 2, 1))
+    curvature += springs * np.eye(len(device))
     least, modes = np.linalg.eigh(curvature)
     worst = int(np.argmin(least[:, 0]))
     joint = names.device[int(np.argmax(np.abs(modes[worst, :, 0])))]
@@ -205,7 +212,7 @@ def looseness(problem: DesignProblem, without: tuple[str, ...]) -> str:
     fewer = Design(dict.fromkeys(without, CuffDesign(removed=True)))
     for wearer in problem.wearers:
         held = less(wearer, fewer)
-        least = hold(held.model, held.contact, held.trials)
+        least = hold(held.model, held.contact, held.trials, held.springs)
         if not least.stiffness > 0.0:
             return (
                 f"the device would hang loose on {wearer.name}: at "

@@ -187,3 +187,9 @@ def test_a_link_that_no_cuff_holds_falls():
     loose = hold(model, contact, postures)
     assert whole.stiffness > 0.0 > loose.stiffness
     assert loose.joint == "exo_hip"
+    # A spring across that joint alone holds it instead.
+    springs = [0.0, 0.0, 500.0]
+    held = hold(model, contact, postures, springs)
+    assert held.stiffness > 0.0
+    more = hold(model, contact, postures, 10.0).stiffness
+    assert more == pytest.approx(loose.stiffness + 10.0)
