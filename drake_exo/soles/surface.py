@@ -336,7 +336,7 @@ def sole_from_surface(
     fixed = _fixed_nodes(nodes, cells, corners, top, top_m is None)
     mesh = checked_mesh(nodes, cells, fixed, surface.name)
     enclosed = surface.volume
-    if abs(mesh.volume / enclosed - 1.0) > _SAME_VOLUME:
+    if abs(mesh.volume - enclosed) > _SAME_VOLUME * enclosed:
         raise InputError(
             f"{surface.name}: encloses {1e6 * enclosed:.1f} cm³, of which "
             f"{1e6 * mesh.volume:.1f} cm³ were meshed: it overlaps itself or "
