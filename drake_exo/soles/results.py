@@ -331,7 +331,11 @@ class Step:
 
     @property
     def stiffness(self) -> np.ndarray:
-        """K_c about `zmp`, [dF; dΓ] = K_c [dO; dω], (N, 6, 6)."""
+        """K_c about `zmp`, (N, 6, 6): [dF; dΓ] = K_c [dO; dω].
+
+        dO [m] moves the point of the sole that lies at the ZMP, dω [rad]
+        turns the sole about it.
+        """
         return self.history.K_c.copy()
 
     @property
