@@ -8,6 +8,21 @@ from numba.core.dispatcher import Dispatcher
 from scipy.spatial.transform import Rotation
 
 
+class _Compiled(Dispatcher):
+    """Ctrl-C while it runs is a KeyboardInterrupt, not a SystemError."""
+
+    def __call__(self, *args):
+        try:
+            return super().__call__(*args)
+        except SystemError as error:
+            first = error
+            while first.__cause__ is not None:
+                first = first.__cause__
+            if isinstance(first, KeyboardInterrupt):
+                raise KeyboardInterrupt from error
+            raise
+
+
 def njit(**options) -> Callable[[Callable], Dispatcher]:
     """A decorator as `numba.njit(cache=True)`, with its options.
 
@@ -19,6 +34,7 @@ def njit(**options) -> Callable[[Callable], Dispatcher]:
 
     def compiled(function: Callable) -> Dispatcher:
         found = numba.njit(cache=True, **options)(function)
+        found.__class__ = _Compiled
         imported = [
             value
             for value in function.__globals__.values()

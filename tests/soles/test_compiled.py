@@ -1,12 +1,15 @@
-"""Compiled functions never outlive the sources that went into them."""
+"""Compiled functions: of the sources that went into them; ended by Ctrl-C."""
 
 import importlib
+import signal
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drake_exo import soles
+from drake_exo.soles.contact.law import ContactLaw, project
 
 LAW = """
 from drake_exo.soles.numerics import njit
@@ -69,3 +72,19 @@ def test_no_sole_is_compiled_in_another_way():
     for path in Path(soles.__file__).parent.rglob("*.py"):
         if path.name != "numerics.py":
             assert "numba.njit" not in path.read_text("utf-8"), path
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no such timer")
+def test_ctrl_c_is_ctrl_c_in_compiled_code():
+    """numba makes a SystemError of it, which no command takes for one."""
+    law, tau = ContactLaw(0.8, 1e5), np.ones((30, 3))
+    project(tau, law)
+    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    try:
+        for _ in range(10):
+            with pytest.raises(KeyboardInterrupt):
+                signal.setitimer(signal.ITIMER_REAL, 0.01)
+                while True:
+                    project(tau, law)
+    finally:
+        signal.signal(signal.SIGALRM, before)
