@@ -515,7 +515,8 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
     """Build a mesh and refuse what cannot be simulated.
 
     Raises:
-        InputError: Inverted or flat elements, unconnected parts, no top.
+        InputError: Inverted, flat or repeated elements, unconnected parts, no
+            top.
     """
     mesh = TetMesh(
         np.ascontiguousarray(nodes, dtype=float),
@@ -528,6 +529,14 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
         raise InputError(
             f"{name}: {len(bad)} of {len(tets)} tetrahedra are inverted or "
             f"flat (first: element {bad[0]}); remesh"
+        )
+    faces = np.sort(tets[:, FACES].reshape(-1, 3), axis=1)
+    _, shared = np.unique(faces, axis=0, return_counts=True)
+    if (crowded := int((shared > 2).sum())) > 0:
+        raise InputError(
+            f"{name}: {crowded} faces belong to more than two tetrahedra, "
+            "which are there twice or overlap; export each once (Gmsh's MSH 2 "
+            "repeats those of several physical groups)"
         )
     i, j = tets[:, [0, 0, 0]].ravel(), tets[:, 1:].ravel()
     check_size(

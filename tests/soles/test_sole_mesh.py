@@ -127,6 +127,14 @@ def test_inverted_element_is_refused():
         checked_mesh(mesh.nodes, tets, mesh.fixed, "m")
 
 
+def test_repeated_elements_are_refused():
+    """Their outer faces would be taken for inner ones, which never touch."""
+    mesh = brick(SIZE, (2, 2, 2))
+    tets = np.concatenate([mesh.tets, mesh.tets[5:6]])
+    with pytest.raises(InputError, match="there twice or overlap"):
+        checked_mesh(mesh.nodes, tets, mesh.fixed, "m")
+
+
 def test_unconnected_parts_are_refused():
     mesh = brick(SIZE, (2, 2, 2))
     nodes = np.concatenate([mesh.nodes, mesh.nodes + np.eye(3)[0]])
