@@ -182,8 +182,8 @@ def _out_or_source(args, name: str) -> OutputFolder:
 def _out_of(args, case: soles.Case) -> OutputFolder:
     """The folder --out, in which nothing of the case may lie."""
     root = args.data_root or args.case.parent
-    mesh = case.settings.mesh.file
-    reads = [args.case, args.mesh, mesh and root / mesh]
+    named = (root / file for file in case.settings.files)
+    reads = [args.case, args.mesh, *named]
     return prepare_output_folder(args.out, args.force, reads=reads)
 
 

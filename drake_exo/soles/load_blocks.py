@@ -366,6 +366,12 @@ class LoadBlock:
         elif self.straight and self.pose == "measured":
             raise InputError("straight and pose: measured exclude each other")
 
+    @property
+    def file(self) -> str | None:
+        """Path of the file that forces are in, a recording's study apart."""
+        blocks = (getattr(self, name) for name in _FILES)
+        return next((b.file for b in blocks if hasattr(b, "file")), None)
+
     def load(self, root: Path, read_step: StepReader | None = None) -> Load:
         """Read the load; files are relative to `root`.
 

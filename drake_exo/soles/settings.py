@@ -374,6 +374,13 @@ class Settings:
         """One or more."""
         return self.loads or (self.load,)
 
+    @property
+    def files(self) -> list[str]:
+        """Paths of mesh, ground and loads, as the case gives them."""
+        found = [load.file for load in self.all_loads]
+        found += [self.mesh.file, self.ground and self.ground.heights]
+        return [file for file in found if file is not None]
+
     def walking_on(self, places: np.ndarray) -> "Settings":
         """With the bounds of walking patterns' ZMP on a sole.
 

@@ -166,6 +166,18 @@ def test_a_case_is_never_replaced(case, capsys):
     assert (case / "case.yaml").read_bytes() == before
 
 
+def test_a_load_is_never_replaced(case, capsys):
+    """An earlier run's table is one, too."""
+    file, folder = case / "case.yaml", case / "step"
+    words = ["sole", "simulate", str(file), "--out", str(folder)]
+    assert main([*words, "--accept", "all"]) == 0
+    before = (folder / "steps.csv").read_bytes()
+    file.write_text(file.read_text().replace("load.csv", "step/steps.csv"))
+    assert main([*words, "--force"]) == 2
+    assert "steps.csv, which is read" in capsys.readouterr().err
+    assert (folder / "steps.csv").read_bytes() == before
+
+
 def test_a_data_root_that_is_none(case, capsys):
     words = ["sole", "simulate", str(case / "case.yaml"), "--out"]
     assert main([*words, str(case / "out"), "--data-root", "gone"]) == 2
