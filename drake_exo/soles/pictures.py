@@ -336,12 +336,17 @@ def _pressed(axis, mesh: TetMesh, kpa: np.ndarray, largest=None):
 
 
 def _underside(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles that look down, as contact-node indices, and their places."""
+    """Triangles that look down, as contact-node indices, and their places.
+
+    The lowest come last, to be drawn over the ceilings of hollows.
+    """
     faces = mesh.contact_faces
     normal, size = mesh.areas(faces)
     down = normal[:, 2] < -0.3 * size
     down &= np.isin(faces, mesh.contact).all(axis=1)
-    local = np.searchsorted(mesh.contact, faces[down])
+    faces = faces[down]
+    faces = faces[np.argsort(-mesh.nodes[faces, 2].sum(axis=1), kind="stable")]
+    local = np.searchsorted(mesh.contact, faces)
     return local[:, [0, 2, 1]], mesh.nodes[mesh.contact][:, :2]
 
 

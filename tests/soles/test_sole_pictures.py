@@ -313,6 +313,18 @@ def test_the_underside_is_what_looks_down(wedge):
         assert len(pictures._underside(wedge.with_nodes(keel))[0]) == count
 
 
+def test_the_underside_is_drawn_over_a_hollow_s_ceiling():
+    solid = brick((0.2, 0.1, 0.03), (3, 3, 3))
+    middle = np.abs(solid.nodes[solid.tets].mean(axis=1) - [0, 0, -0.015])
+    inside = (middle < [0.033, 0.0166, 0.005]).all(axis=1)
+    mesh = TetMesh(solid.nodes, solid.tets[~inside], solid.fixed)
+    faces, _ = pictures._underside(mesh)
+    z = mesh.nodes[mesh.contact, 2][faces].mean(axis=1)
+    ceiling = z > -0.029
+    np.testing.assert_array_equal(np.unique(z[ceiling].round(6)), [-0.01])
+    assert not ceiling[ceiling.sum() :].any()
+
+
 # Plots of an optimisation
 
 
