@@ -522,7 +522,8 @@ class Setup:
         pattern = self.settings.load and self.settings.load.pattern
         if not (pattern and pattern.free):
             return None
-        return Gait(pattern, self.settings.contact.friction)
+        up = self.ground.normal(self.level)
+        return Gait(pattern, self.settings.contact.friction, tuple(up))
 
     @property
     def name(self) -> str:

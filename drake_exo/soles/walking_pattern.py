@@ -386,10 +386,12 @@ class Gait:
     Attributes:
         robot: The case's own walk.
         friction: Of the contact.
+        up: Normal of the ground on the whole, (3,).
     """
 
     robot: Robot
     friction: float
+    up: tuple[float, ...] = (0.0, 0.0, 1.0)
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
@@ -483,14 +485,14 @@ class Gait:
     def _planned(self, x) -> tuple[Load, dict[str, np.ndarray]]:
         load, speed, acceleration, sway = self._walked(self.at(x))
         first, usual, own, its = self._own
-        slip = np.linalg.norm(load.force[:, :2], axis=1)
+        used = load.friction_used(np.array(self.up))
         bears = np.ptp(load.times) / np.ptp(first.times)
         return load, {
             "speed": np.array([speed / usual - 1.0]),
             "contact": np.array([1.0 - bears]),
             "acceleration": _MORE - acceleration / own.max(),
             "sway": _MORE - np.abs(sway) / np.abs(its).max(),
-            "friction": _SLIP - slip / (self.friction * load.force[:, 2]),
+            "friction": _SLIP - used / self.friction,
         }
 
     def slopes(self, x: np.ndarray) -> tuple[np.ndarray, dict]:

@@ -95,6 +95,21 @@ def test_limits_are_those_of_the_robot(gait):
     assert (load.zmp[:, 0] <= robot.bounds[1, 0] + 1e-6).all()
 
 
+def test_friction_of_a_walk_is_along_the_ground(tmp_path):
+    """On a slope more than the horizontal force over the vertical."""
+    rows = [
+        f"{x:g},{y:g},{0.3 * x:g}"
+        for x in np.linspace(-0.3, 0.3, 4)
+        for y in np.linspace(-0.2, 0.2, 4)
+    ]
+    (tmp_path / "slope.csv").write_text("\n".join(["x_m,y_m,z_m", *rows]))
+    text = _case() + "ground: {heights: slope.csv}\n"
+    case = Case.from_text(text, tmp_path)
+    gait = case.gait
+    least = gait.limits(gait.start)["friction"].min()
+    assert least == pytest.approx(0.9 - case.friction_used / 0.8)
+
+
 def test_a_walk_may_shake_the_body_little_more_than_the_own_one(gait):
     """By a tenth: acceleration, of the inverted pendulum, and sway."""
     x = gait.start + 0.1
