@@ -173,6 +173,7 @@ def test_sums_do_not_depend_on_how_many_cores_there_are():
         ("lab --model {loop} --out here", "loop: "),
         ("sole report {long}", "File name too long"),
         ("sole reduce here --out .", "give a .yaml file for --out"),
+        ("sole reduce here --out law.txt", "give a .yaml file for --out"),
         ("sole study --data-root gone --out here", "gone: is no folder"),
     ],
 )

@@ -323,7 +323,7 @@ def _reduce(args) -> int:
     # SciPy's optimiser takes a moment to load.
     from drake_exo.contact.reduction import reduce_sole
 
-    if args.out.is_dir() or args.out.suffix == ".csv":
+    if args.out.is_dir() or args.out.suffix not in (".yaml", ".yml"):
         raise InputError(f"{args.out}: give a .yaml file for --out")
     rows = args.out.with_suffix(".csv")
     for path in (args.out, rows):
