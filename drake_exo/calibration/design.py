@@ -268,9 +268,7 @@ class _Wearing(PhaseProblem):
                 self.program.prog.AddLinearEqualityConstraint(
                     rows / MOMENT_UNIT,
                     (today + springs * angles)[:, i] / MOMENT_UNIT,
-                    np.r_[
-                        torques[:, i], movement.grid.q[:, names.index(joint)]
-                    ],
+                    np.r_[torques[:, i], bent],
                 )
                 continue
             factors = np.array([posed.variables[n] for n in own])
