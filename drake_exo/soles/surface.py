@@ -367,9 +367,10 @@ def _top_faces(surface: Surface, top_m: float | None) -> np.ndarray:
     up = area[:, 2] > 0.3 * np.linalg.norm(area, axis=1)
     if top_m is not None:
         top = up & (z.min(axis=1) >= top_m)
-        if not top.any():
+        if not top.any() or top_m < z.min():
             raise InputError(
-                f"{surface.name}: no face above {top_m:g} m looks upwards; "
+                f"{surface.name}: no face above {top_m:g} m looks upwards, or "
+                f"all do; it reaches from {z.min():g} to {z.max():g} m: "
                 "correct mesh.top_m"
             )
         return top

@@ -463,6 +463,14 @@ def test_a_top_that_is_not_flat_is_asked_for_and_taken():
     assert np.ptp(fixed[:, 0]) > 0.25
 
 
+@pytest.mark.parametrize("top_m", [-5.0, 0.01])
+def test_a_top_that_is_elsewhere_is_refused(top_m):
+    """Given in millimetres, say: all that looks upwards were the foot's."""
+    surface = Surface(_box(SIZE), "box")
+    with pytest.raises(InputError, match="it reaches from"):
+        sole_from_surface(surface, top_m=top_m)
+
+
 @pytest.mark.parametrize(("height", "kept"), [(0.0, 1), (0.05, 0)])
 def test_a_surface_whose_top_is_at_zero_keeps_its_frame(
     height, kept, monkeypatch
