@@ -211,6 +211,13 @@ def test_checks_tell_what_is_known_of_each_clock(in_device):
     assert (good.limit, good.unit, good.level) == (10.0, "ms", "note")
     bad = by[f"{trial.name}, pressure"]
     assert not bad.holds and bad.sentence == "-10 ± 39 ms"
+    # So far off that the first order does not tell it.
+    found[0] = replace(found[0], lag_s=-0.063)
+    near, far, _ = clock_checks([trial], found)
+    assert near.holds and not far.holds and far.where == near.where
+    assert far.value == pytest.approx(63.0) and far.limit == 50.0
+    assert far.sentence.startswith("-63 ± 8 ms, so far off only roughly")
+    assert far.sentence.endswith("laboratory.encoder_delay_s, and run again")
     unfound = clock_checks([trial])
     assert [c.holds for c in unfound] == [False, False]
     assert unfound[0].sentence == "left to the calibration, unsure"
