@@ -489,7 +489,8 @@ class Designed:
             "N m/rad",
             held.joint,
             "the device hangs loose: its weight pushes it off by more "
-            "than its cuffs hold it; leave less to slides and hinges",
+            "than its cuffs hold it; leave out fewer of them, and less to "
+            "slides and hinges",
         )
 
     def _notes(self) -> Iterator[Check]:
