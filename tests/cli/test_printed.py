@@ -312,7 +312,7 @@ def test_the_mesh_is_timed_by_itself(monkeypatch, tmp_path, capsys):
     case = SimpleNamespace(
         name="a", load=SimpleNamespace(times=range(4)),
         simulate=lambda tell: step,
-        settings=SimpleNamespace(mesh=SimpleNamespace(file=None)),
+        settings=SimpleNamespace(files=[]),
     )  # fmt: skip
     monkeypatch.setattr(sole, "_case", lambda args: case)
     args = Namespace(
