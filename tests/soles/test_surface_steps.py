@@ -324,7 +324,7 @@ def test_a_steep_face_is_no_top(lean, is_top):
     c, s = np.cos(np.deg2rad(lean)), np.sin(np.deg2rad(lean))
     corners = np.array([[[0, 0, 0], [c, 0, s], [0, 1, 0]],
                         [[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]])  # fmt: skip
-    top = steps._top_faces(Surface(corners, "it"), -1.0)
+    top = steps._top_faces(Surface(corners, "it"), 0.0)
     assert top.tolist() == [is_top, True]
 
 
