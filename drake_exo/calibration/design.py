@@ -261,31 +261,23 @@ class _Wearing(PhaseProblem):
             if not own and not springs[i]:
                 movement.bound(torques[:, i], today[:, i], today[:, i])
                 continue
-            if not own:
-                bent = movement.grid.q[:, names.index(joint)]
-                rows = np.hstack([np.eye(len(bent))] * 2)
-                rows[:, len(rows) :] *= springs[i]
-                self.program.prog.AddLinearEqualityConstraint(
-                    rows / MOMENT_UNIT,
-                    (today + springs * angles)[:, i] / MOMENT_UNIT,
-                    np.r_[torques[:, i], bent],
-                )
-                continue
             factors = np.array([posed.variables[n] for n in own])
             known = assistance_of({n.partition(".")[2]: 1.0 for n in own})
-            drive = today[:, i] - passive[:, i]
+            # Where nothing drives a joint all of it stays, and no part is left.
+            stays = passive[:, i] if own else today[:, i]
+            drive = today[:, i] - stays
             parts, more = (
                 known.parts(
                     torque,
                     angles[:, i],
                     rates[:, i],
                     at.times / at.duration,
-                )
+                )[:, : len(own)]
                 for torque in (drive, drive + 1.0)
             )
-            given = (passive + springs * angles)[:, [i]] / MOMENT_UNIT
+            given = (stays + springs[i] * angles[:, i])[:, None] / MOMENT_UNIT
             there = np.sum(slope[:, i] * angles, axis=1, keepdims=True)
-            stays = np.tile(np.diag(-springs)[i], (len(angles), 1))
+            by_springs = np.tile(np.diag(-springs)[i], (len(angles), 1))
             self.program.add_constraints(
                 f"{movement.name} {joint} assistance",
                 AssistanceKernel(len(names.device), len(own)),
@@ -299,7 +291,7 @@ class _Wearing(PhaseProblem):
                 given,
                 given,
                 data=np.hstack(
-                    [parts, more - parts, slope[:, i], there, stays]
+                    [parts, more - parts, slope[:, i], there, by_springs]
                 ),
             )
 
