@@ -29,6 +29,16 @@ class InputError(Exception):
     """
 
 
+def was_interrupted(error: BaseException) -> bool:
+    """Whether Ctrl-C is what made an error, however many were made of it.
+
+    Compiled code and extension modules that are being loaded make others.
+    """
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return isinstance(error, KeyboardInterrupt)
+
+
 def check_bounds(
     where: str, value: float, metadata: Mapping, text: str | None = None
 ) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from drake_exo import __version__
-from drake_exo.errors import InputError, first_line
+from drake_exo.errors import InputError, first_line, was_interrupted
 
 # Each has a module here with `add_arguments(parser)` and `run(args)`; commands
 # of a command set their own `run`. It is imported on demand: `drake-exo sole`
@@ -171,11 +171,7 @@ def _run(parsed: Callable[[], argparse.Namespace]) -> int:
         )
         return 2
     except BaseException as error:
-        # Extension modules that were being loaded make other errors of it.
-        first = error
-        while first.__cause__ is not None:
-            first = first.__cause__
-        if not isinstance(first, KeyboardInterrupt):
+        if not was_interrupted(error):
             raise
         print("drake-exo: interrupted", file=sys.stderr)
         return 130

@@ -20,7 +20,9 @@ from drake_exo.measurement.sagittal import SagittalFrame
 from drake_exo.model.assembly import ASSEMBLIES, SIDES, Assembly
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.segments import (
+    HEIGHTS_M,
     LEG_JOINTS,
+    MASSES_KG,
     ExoskeletonOverrides,
     HumanOverrides,
     place,
@@ -240,8 +242,10 @@ class Subject:
     """
 
     name: str
-    height_m: float = quantity("m", minimum=0.9, maximum=2.6)
-    mass_kg: float | None = quantity("kg", None, minimum=15.0, maximum=350.0)
+    height_m: float = quantity("m", minimum=HEIGHTS_M[0], maximum=HEIGHTS_M[1])
+    mass_kg: float | None = quantity(
+        "kg", None, minimum=MASSES_KG[0], maximum=MASSES_KG[1]
+    )
     sex: Literal["male", "female"] = "male"
     segments: HumanOverrides = field(default_factory=HumanOverrides)
 

@@ -22,7 +22,6 @@ from dataclasses import (
     make_dataclass,
     replace,
 )
-from math import isfinite
 from typing import Any, TypeVar
 
 from drake_exo.errors import InputError, check_bounds
@@ -262,6 +261,7 @@ DE_LEVA = {
 VERTEX_HEIGHT_MM = {"male": 242.9 + 603.3, "female": 243.7 + 614.8}
 SHOULDER_HEIGHT_MM = {"male": 515.5, "female": 497.9}
 
+HEIGHTS_M, MASSES_KG = (0.9, 2.6), (15.0, 350.0)  # of people
 _ANKLE_HEIGHT = 0.039  # of body height, Winter
 # Ours, in parts of the foot's length: the heel's surface lies this far behind
 # the ankle; the contact spheres under the calcaneus and the toes.
@@ -329,15 +329,17 @@ def scale_human(
 def _check_subject(mass_kg: float, height_m: float, sex: str) -> None:
     if sex not in DE_LEVA:
         raise InputError(f"subject sex must be male or female, not {sex!r}")
-    if not (isfinite(height_m) and 0.9 <= height_m <= 2.6):
+    low, high = HEIGHTS_M
+    if not low <= height_m <= high:
         raise InputError(
-            f"subject height_m must lie between 0.9 and 2.6 m, not "
+            f"subject height_m must lie between {low:g} and {high:g} m, not "
             f"{height_m:g}; give metres"
         )
-    if not (isfinite(mass_kg) and 15.0 <= mass_kg <= 350.0):
+    low, high = MASSES_KG
+    if not low <= mass_kg <= high:
         raise InputError(
-            f"subject mass_kg must lie between 15 and 350 kg, not {mass_kg:g}; "
-            f"give kilograms"
+            f"subject mass_kg must lie between {low:g} and {high:g} kg, not "
+            f"{mass_kg:g}; give kilograms"
         )
     index = mass_kg / height_m**2
     if not 8.0 <= index <= 100.0:

@@ -369,8 +369,12 @@ class LoadBlock:
     @property
     def file(self) -> str | None:
         """Path of the file that forces are in, a recording's study apart."""
-        blocks = (getattr(self, name) for name in _FILES)
-        return next((b.file for b in blocks if hasattr(b, "file")), None)
+        return getattr(self._block, "file", None)
+
+    @property
+    def _block(self):
+        """The one that is given; None of a recording."""
+        return next(filter(None, (getattr(self, n) for n in _FILES)), None)
 
     def load(self, root: Path, read_step: StepReader | None = None) -> Load:
         """Read the load; files are relative to `root`.
@@ -382,8 +386,7 @@ class LoadBlock:
         if self.recording is not None:
             load = self._recorded(read_step)
         else:
-            block = next(filter(None, (getattr(self, n) for n in _FILES)))
-            load = block.load(root)
+            load = self._block.load(root)
         return load.straight() if self.straight else load
 
     def _recorded(self, read_step: StepReader | None) -> Load:

@@ -80,14 +80,20 @@ class TetMesh:
     @cached_property
     def boundary_faces(self) -> np.ndarray:
         """Outward triangles of the whole surface, (f, 3)."""
+        index, count = self.faces_shared
         faces = self.tets[:, FACES].reshape(-1, 3)
+        return faces[np.sort(index[count == 1])]
+
+    @cached_property
+    def faces_shared(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of all triangles one of each, and how many tets have it, (t,)."""
         _, index, count = np.unique(
-            np.sort(faces, axis=1),
+            np.sort(self.tets[:, FACES].reshape(-1, 3), axis=1),
             axis=0,
             return_index=True,
             return_counts=True,
         )
-        return faces[np.sort(index[count == 1])]
+        return index, count
 
     @cached_property
     def is_top(self) -> np.ndarray:
@@ -530,8 +536,7 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
             f"{name}: {len(bad)} of {len(tets)} tetrahedra are inverted or "
             f"flat (first: element {bad[0]}); remesh"
         )
-    faces = np.sort(tets[:, FACES].reshape(-1, 3), axis=1)
-    _, shared = np.unique(faces, axis=0, return_counts=True)
+    _, shared = mesh.faces_shared
     if (crowded := int((shared > 2).sum())) > 0:
         raise InputError(
             f"{name}: {crowded} faces belong to more than two tetrahedra, "

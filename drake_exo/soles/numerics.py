@@ -7,6 +7,8 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from scipy.spatial.transform import Rotation
 
+from drake_exo.errors import was_interrupted
+
 
 class _Compiled(Dispatcher):
     """Ctrl-C while it runs is a KeyboardInterrupt, not a SystemError."""
@@ -15,10 +17,7 @@ class _Compiled(Dispatcher):
         try:
             return super().__call__(*args)
         except SystemError as error:
-            first = error
-            while first.__cause__ is not None:
-                first = first.__cause__
-            if isinstance(first, KeyboardInterrupt):
+            if was_interrupted(error):
                 raise KeyboardInterrupt from error
             raise
 
