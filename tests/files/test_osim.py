@@ -196,7 +196,8 @@ def placed(tmp_path, kind, values):
 
 def test_joints_turn_and_move_as_their_kind_says(tmp_path):
     def turn(axes, *angles):
-        return Rotation.from_euler(axes, angles).as_matrix()
+        # One angle in a list is a list of rotations to older SciPy.
+        return Rotation.from_euler(axes, angles).as_matrix().reshape(3, 3)
 
     a, b, c = 0.3, -0.5, 0.8
     for kind, values, R, p in (
