@@ -159,7 +159,7 @@ class _Wearing(PhaseProblem):
         moved = [self._posed.variables[n] for n in names]
         return np.concatenate([super().places(cuff), moved])
 
-    def coupled(self, tree, bushings, bodies):
+    def equations(self, tree, bodies, bushings, load):
         """See PhaseProblem: with the weight of links whose joints move."""
         moved, known = [], set()
         for b, cuff in enumerate(self.bushings):
@@ -174,7 +174,7 @@ class _Wearing(PhaseProblem):
                     MovedWeight(b, first, segment, weight),
                     MovedWeight(b, first + 1, segment, 1j * weight),
                 ]
-        return DesignDynamicsKernel(tree, bushings, bodies, moved)
+        return DesignDynamicsKernel(tree, bodies, bushings, load, moved)
 
     def _segment(self, link: str) -> int:
         return int(self.tree.segment_of[self.tree.body_index(link)])

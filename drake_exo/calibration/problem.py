@@ -14,12 +14,12 @@ from drake_exo.calibration.settings import EndTolerance, TrackingNoise
 from drake_exo.calibration.start import settled
 from drake_exo.collocation.bushing_kernels import (
     BushingKernel,
-    CoupledDynamicsKernel,
     EnergyKernel,
 )
 from drake_exo.collocation.kernels import (
     AppliedWrench,
     BodyWrench,
+    DynamicsKernel,
     FootGroundKernel,
     PoseKernel,
 )
@@ -414,8 +414,8 @@ class PhaseProblem(Compiles, ABC):
             effects: of the unknown errors.
         """
 
-    # Kernel of the equations of motion with cuffs.
-    coupled = CoupledDynamicsKernel
+    # Kernel of the equations of motion.
+    equations = DynamicsKernel
 
     def moving(self, cuff: str) -> Sequence[tuple[int, complex]]:
         """What moves the device's frame, see BushingKinematics."""
@@ -441,7 +441,7 @@ class PhaseProblem(Compiles, ABC):
             },
             _borne(self.tree, trial),
             self.soles,
-            self.coupled,
+            self.equations,
             self.refined.get(trial.name, 1),
         )
         for body, spheres in self.soles.items():

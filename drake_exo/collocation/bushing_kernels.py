@@ -7,7 +7,6 @@ design adds: cuffs that change, forces felt, work done.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -24,7 +23,6 @@ from drake_exo.contact.bushing import (
     bushing_force,
     held_share,
 )
-from drake_exo.model.planar_tree import PlanarTree
 
 INTERACTION_FORCE_UNIT = 10.0  # N
 INTERACTION_MOMENT_UNIT = 1.0  # N m
@@ -35,73 +33,6 @@ UNITS = np.array(
         INTERACTION_MOMENT_UNIT,
     ]
 )
-
-
-class CoupledDynamicsKernel:
-    """DynamicsKernel with bushing forces.
-
-    Inputs: those of DynamicsKernel, then the bushings' forces (3 each: N, N,
-    N m), then their places (see BushingKinematics). Outputs as
-    DynamicsKernel.
-    """
-
-    def __init__(
-        self,
-        tree: PlanarTree,
-        bushings: list[BushingKinematics],
-        bodies: Sequence[str] | None = None,
-    ):
-        self._dynamics = DynamicsKernel(tree, bodies)
-        self._bushings = bushings
-        nq, nb = tree.num_positions, len(bushings)
-        self._first = self._dynamics.sparsity.shape[1]
-        ends = np.cumsum([0, *(b.num_places for b in bushings)])
-        ends += self._first + 3 * nb
-        self._places = [slice(*pair) for pair in pairwise(ends)]
-        pattern = np.zeros((nq, ends[-1]), bool)
-        pattern[:, : self._first] = self._dynamics.sparsity
-        for b, bushing in enumerate(bushings):
-            angles = bushing.moved_by
-            force = slice(self._first + 3 * b, self._first + 3 * b + 3)
-            pattern[angles, force] = True
-            pattern[angles, self._places[b]] = True
-        self.sparsity = pattern
-
-    def _parts(self, x, b):
-        first = self._first + 3 * b
-        return x[:, first : first + 3], x[:, self._places[b]]
-
-    def evaluate(self, x, data):
-        """See Kernel."""
-        nq = self._dynamics.num_positions
-        r = self._dynamics.evaluate(x[:, : self._first], data)
-        for b, bushing in enumerate(self._bushings):
-            force, places = self._parts(x, b)
-            J = bushing.deflection_jacobian(bushing.terms(x[:, :nq], places))
-            r += np.einsum("nc,ncq->nq", force, J) / FORCE_UNIT
-        return r
-
-    def jacobian(self, x, data):
-        """See Kernel."""
-        nq = self._dynamics.num_positions
-        J = np.zeros((len(x), *self.sparsity.shape))
-        J[:, :, : self._first] = self._dynamics.jacobian(
-            x[:, : self._first], data
-        )
-        for b, bushing in enumerate(self._bushings):
-            force, places = self._parts(x, b)
-            q = x[:, :nq]
-            terms = bushing.terms(q, places)
-            J[:, 2:, :nq] += bushing.curvature(terms, force)[:, 2:] / FORCE_UNIT
-            first = self._first + 3 * b
-            J[:, :, first : first + 3] = (
-                bushing.deflection_jacobian(terms).transpose(0, 2, 1)
-                / FORCE_UNIT
-            )
-            J[:, :, self._places[b]] = (
-                bushing.gradient_by_places(bushing.turns(q), force) / FORCE_UNIT
-            )
-        return J
 
 
 class BushingKernel:
@@ -325,8 +256,8 @@ class MovedWeight:
     weight: complex
 
 
-class DesignDynamicsKernel(CoupledDynamicsKernel):
-    """CoupledDynamicsKernel with what a design needs besides.
+class DesignDynamicsKernel(DynamicsKernel):
+    """DynamicsKernel with what a design needs besides.
 
     The curvature of the cuffs' part: where they move, forces and moment arms
     change together, and without it a design creeps for hundreds of
@@ -337,13 +268,17 @@ class DesignDynamicsKernel(CoupledDynamicsKernel):
     """
 
     def __init__(
-        self, tree, bushings, bodies=None, moved: Sequence[MovedWeight] = ()
+        self,
+        tree,
+        bodies=None,
+        bushings=(),
+        load=None,
+        moved: Sequence[MovedWeight] = (),
     ):
-        super().__init__(tree, bushings, bodies)
-        nq = self._dynamics.num_positions
+        super().__init__(tree, bodies, bushings, load)
         self._moved = [
             (
-                self._places[m.bushing].start + m.place,
+                self._cuffs[m.bushing][2].start + m.place,
                 tree.angles_by_q[m.segment],
                 m.weight,
             )
@@ -352,13 +287,13 @@ class DesignDynamicsKernel(CoupledDynamicsKernel):
         for place, by_q, _ in self._moved:
             self.sparsity[by_q != 0.0, place] = True
         self.curved_inputs = np.zeros(self.sparsity.shape[1], bool)
-        self.curved_inputs[2:nq] = True
-        self.curved_inputs[self._first :] = True
+        self.curved_inputs[2 : self.num_positions] = True
+        self.curved_inputs[self._cuts[-1] :] = True
 
     def evaluate(self, x, data):
         """See Kernel."""
         r = super().evaluate(x, data)
-        nq = self._dynamics.num_positions
+        nq = self.num_positions
         for place, by_q, weight in self._moved:
             turned = weight * np.exp(1j * (x[:, :nq] @ by_q))
             r += (turned.real * x[:, place] / FORCE_UNIT)[:, None] * by_q
@@ -367,7 +302,7 @@ class DesignDynamicsKernel(CoupledDynamicsKernel):
     def jacobian(self, x, data):
         """See Kernel."""
         J = super().jacobian(x, data)
-        nq = self._dynamics.num_positions
+        nq = self.num_positions
         for place, by_q, weight in self._moved:
             turned = weight * np.exp(1j * (x[:, :nq] @ by_q)) / FORCE_UNIT
             J[:, :, place] += turned.real[:, None] * by_q
@@ -377,7 +312,7 @@ class DesignDynamicsKernel(CoupledDynamicsKernel):
 
     def curvature(self, x, weights, data):
         """sum_i weights_i d2 f_i/dx2, but for the bodies' own dynamics."""
-        nq = self._dynamics.num_positions
+        nq = self.num_positions
         q, w = x[:, :nq], weights / FORCE_UNIT
         H = np.zeros((len(x), x.shape[1], x.shape[1]))
 
@@ -385,14 +320,13 @@ class DesignDynamicsKernel(CoupledDynamicsKernel):
             H[:, rows, columns] += part
             H[:, columns, rows] += np.swapaxes(part, 1, 2)
 
-        for b, bushing in enumerate(self._bushings):
-            force, places = self._parts(x, b)
-            first, p = self._first + 3 * b, self._places[b]
-            terms = bushing.led(bushing.terms(q, places), w)
+        for bushing, f, p in self._cuffs:
+            force = x[:, f]
+            terms = bushing.led(bushing.terms(q, x[:, p]), w)
             turns = bushing.led(bushing.turns(q), w)
             H[:, :nq, :nq] += bushing.curvature(terms, force)
             by_q = bushing.deflection_jacobian(terms)[:, :ROTATION]
-            across = slice(first, first + ROTATION)
+            across = slice(f.start, f.start + ROTATION)
             add(across, slice(nq), by_q)
             add(across, p, bushing.by_places(turns))
             add(slice(nq), p, bushing.gradient_by_places(turns, force))

@@ -12,6 +12,7 @@ gives the device's torques.
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 from pydrake.autodiffutils import (
@@ -22,6 +23,7 @@ from pydrake.autodiffutils import (
 from pydrake.systems.framework import System
 from scipy.interpolate import CubicSpline
 
+from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.hunt_crossley import (
     SphereWrench,
     sphere_wrench,
@@ -115,18 +117,28 @@ class BodyWrench:
 
 
 class DynamicsKernel:
-    """Inverse-dynamics residual of a model that stands on some bodies.
+    """Inverse-dynamics residual of a model on the ground, in a device or not.
 
     Inputs: q, v, a (nq each), joint torques (nj), then of each body the ground
-    reaction F_x, F_z and M_y about the laboratory origin. Outputs (nq):
-    generalized force missing in each coordinate, in units of 100 N and 100 N m.
+    reaction F_x, F_z and M_y about the laboratory origin, the bushings' forces
+    (3 each: N, N, N m), and their places (see BushingKinematics). Data: of a
+    load its wrenches (n, 3 m), as `AppliedWrench.at`. Outputs (nq): generalized
+    force missing in each coordinate, in units of 100 N and 100 N m.
 
     Args:
         tree: the model.
         bodies: that touch the ground; the root by default.
+        bushings: of the cuffs.
+        load: what acts besides, if anything.
     """
 
-    def __init__(self, tree: PlanarTree, bodies: Sequence[str] | None = None):
+    def __init__(
+        self,
+        tree: PlanarTree,
+        bodies: Sequence[str] | None = None,
+        bushings: Sequence[BushingKinematics] = (),
+        load: "AppliedWrench | None" = None,
+    ):
         self.tree = tree
         nq = tree.num_positions
         self.num_positions = nq
@@ -134,9 +146,16 @@ class DynamicsKernel:
         self._joints = tree.coordinates.joint_columns
         bodies = (tree.root,) if bodies is None else bodies
         self._wrenches = [BodyWrench(tree, body) for body in bodies]
+        self._load = load
         sizes = [nq, nq, nq, len(self._joints), 3 * len(bodies)]
-        *self._cuts, n_in = np.cumsum(sizes)
-        pattern = np.zeros((nq, n_in), bool)
+        self._cuts = np.cumsum(sizes)
+        sizes = [3] * len(bushings) + [b.num_places for b in bushings]
+        ends = self._cuts[-1] + np.cumsum([0, *sizes])
+        slices = [slice(*pair) for pair in pairwise(ends)]
+        # Of each its kinematics, and columns of force and places.
+        own = slices[: len(bushings)], slices[len(bushings) :]
+        self._cuffs = list(zip(bushings, *own, strict=True))
+        pattern = np.zeros((nq, ends[-1]), bool)
         pattern[:, : 3 * nq] = True
         # No force depends on where the model stands or drifts.
         x, z, _ = self._root
@@ -152,20 +171,31 @@ class DynamicsKernel:
             columns = self._cuts[3] + 3 * i + np.arange(3)
             pattern[np.ix_(turned, columns)] = True
             pattern[x, columns[0]] = pattern[z, columns[1]] = True
+        for bushing, force, places in self._cuffs:
+            pattern[bushing.moved_by, force] = True
+            pattern[bushing.moved_by, places] = True
+        if load is not None:
+            pattern[2:, :nq] = True
         self.sparsity = pattern
 
     def evaluate(self, x, data):
         """See Kernel."""
-        q, v, a, torque, ground = np.split(x, self._cuts, axis=1)
+        q, v, a, torque, ground, _ = np.split(x, self._cuts, axis=1)
         r = self.tree.inverse_dynamics(q, v, a)
         for i, wrench in enumerate(self._wrenches):
             r -= wrench.generalized(q, ground[:, 3 * i : 3 * i + 3])
         r[:, self._joints] -= torque
-        return r / FORCE_UNIT
+        r /= FORCE_UNIT
+        for bushing, force, places in self._cuffs:
+            J = bushing.deflection_jacobian(bushing.terms(q, x[:, places]))
+            r += np.einsum("nc,ncq->nq", x[:, force], J) / FORCE_UNIT
+        if self._load is not None:
+            r -= self._load.generalized(q, data) / FORCE_UNIT
+        return r
 
     def jacobian(self, x, data):
         """See Kernel."""
-        q, v, a, _, ground = np.split(x, self._cuts, axis=1)
+        q, v, a, _, ground, _ = np.split(x, self._cuts, axis=1)
         nq = self.num_positions
         J = np.zeros((len(x), *self.sparsity.shape))
         parts = self.tree.inverse_dynamics_jacobians(q, v, a)
@@ -177,7 +207,18 @@ class DynamicsKernel:
             first = self._cuts[3] + 3 * i
             J[:, :, first : first + 3] = -wrench.by_wrench(q)
         J[:, self._joints, self._cuts[2] + np.arange(len(self._joints))] = -1.0
-        return J / FORCE_UNIT
+        J /= FORCE_UNIT
+        for bushing, force, places in self._cuffs:
+            F, turns = x[:, force], bushing.turns(q)
+            terms = bushing.terms(q, x[:, places])
+            by_force = bushing.deflection_jacobian(terms).transpose(0, 2, 1)
+            by_places = bushing.gradient_by_places(turns, F)
+            J[:, 2:, :nq] += bushing.curvature(terms, F)[:, 2:] / FORCE_UNIT
+            J[:, :, force] = by_force / FORCE_UNIT
+            J[:, :, places] = by_places / FORCE_UNIT
+        if self._load is not None:
+            J[:, :, :nq] -= self._load.by_positions(q, data) / FORCE_UNIT
+        return J
 
 
 class PoseKernel:
@@ -551,40 +592,6 @@ class AppliedWrench:
         return sum(
             k * b.by_positions(q, wrench[:, own]) for own, k, b in self._bodies
         )
-
-
-class LoadedDynamicsKernel:
-    """A kernel of equations of motion, with an applied wrench.
-
-    Inputs and outputs as those of the inner kernel, whose inputs start with
-    q. Data: (n, 3 m) wrenches, as `AppliedWrench.at`.
-
-    Args:
-        inner: such as DynamicsKernel; gets no data itself.
-        load: the wrench.
-    """
-
-    def __init__(self, inner, load: AppliedWrench):
-        self._inner = inner
-        self._load = load
-        nq = self._num_positions = inner.sparsity.shape[0]
-        self.sparsity = inner.sparsity.copy()
-        self.sparsity[2:, :nq] = True
-        if hasattr(inner, "curvature"):  # the load's own is small
-            self.curved_inputs = inner.curved_inputs
-            self.curvature = inner.curvature
-
-    def evaluate(self, x, data):
-        """See Kernel."""
-        r = self._inner.evaluate(x, None)
-        q = x[:, : self._num_positions]
-        return r - self._load.generalized(q, data) / FORCE_UNIT
-
-    def jacobian(self, x, data):
-        """See Kernel."""
-        J, nq = self._inner.jacobian(x, None), self._num_positions
-        J[:, :, :nq] -= self._load.by_positions(x[:, :nq], data) / FORCE_UNIT
-        return J
 
 
 STATE_PORT = "exoskeleton_state"

@@ -5,23 +5,19 @@ forces as controls, and the equations that tie them. Several trials share one
 program and one set of contact parameters.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
 
 from drake_exo.collocation.bushing_kernels import UNITS as CUFF_UNITS
-from drake_exo.collocation.bushing_kernels import (
-    BushingKernel,
-    CoupledDynamicsKernel,
-)
+from drake_exo.collocation.bushing_kernels import BushingKernel
 from drake_exo.collocation.kernels import (
     MOMENT_UNIT,
     WRENCH_UNITS,
     AppliedWrench,
     DynamicsKernel,
     FootGroundKernel,
-    LoadedDynamicsKernel,
     PoseKernel,
 )
 from drake_exo.collocation.transcription import (
@@ -77,7 +73,7 @@ class TrialProgram:
         chair: wrenches of the chair, if the movement starts seated, and of
             what is carried.
         bodies: that touch the ground; the root by default.
-        coupled: kernel of the equations of motion with bushings.
+        equations: makes the kernel of the equations of motion.
         parts: into how many each of these intervals is split, see
             `Transcription`.
     """
@@ -93,7 +89,7 @@ class TrialProgram:
         bushings: dict[str, tuple[BushingKinematics, np.ndarray]] | None = None,
         chair: AppliedWrench | None = None,
         bodies: Sequence[str] | None = None,
-        coupled: type[CoupledDynamicsKernel] = CoupledDynamicsKernel,
+        equations: Callable[..., DynamicsKernel] = DynamicsKernel,
         parts: np.ndarray | int = 1,
     ):
         self.name = name
@@ -118,28 +114,23 @@ class TrialProgram:
         self._label()
         grid = self.grid
         inputs = [grid.q, grid.v, grid.a, self.torque, self.ground]
-        kernel = DynamicsKernel(tree, bodies)
-        bushings = bushings or {}
-        units = np.tile(CUFF_UNITS, len(bushings))
+        bushings, self.cuffs = bushings or {}, {}
         if bushings:
-            kinematics, places = zip(*bushings.values(), strict=True)
-            kernel = coupled(tree, list(kinematics), bodies)
+            units = np.tile(CUFF_UNITS, len(bushings))
             forces = self.new("interaction", units)
-            inputs += [forces, self.at_nodes(np.concatenate(places))]
+            places = np.concatenate([own for _, own in bushings.values()])
+            inputs += [forces, self.at_nodes(places)]
             parts = np.split(forces, len(bushings), axis=1)
             self.cuffs = dict(zip(bushings, parts, strict=True))
-        else:
-            self.cuffs = {}
+        kinematics = [bushing for bushing, _ in bushings.values()]
         self._chair = chair
-        if chair is not None:
-            kernel = LoadedDynamicsKernel(kernel, chair)
-        self.dynamics = kernel
+        self.dynamics = equations(tree, bodies, kinematics, chair)
         self.tracked: list[Tracking] = []
         nothing = self.grid.jerk[:0]
         self.damped = nothing, np.ones(nothing.shape), np.ones(0)
         program.add_constraints(
             f"{name} dynamics",
-            kernel,
+            self.dynamics,
             np.hstack(inputs),
             data=self.loads(grid.times),
         )

@@ -8,7 +8,6 @@ import pytest
 
 from drake_exo.collocation.bushing_kernels import (
     BushingKernel,
-    CoupledDynamicsKernel,
     DesignDynamicsKernel,
     EnergyKernel,
     MovedWeight,
@@ -93,8 +92,8 @@ def test_dynamics_feel_the_wrench_of_the_law(tree, rng):
     rest = np.hstack([rng.uniform(-9, 9, (N, 9)), rng.uniform(-99, 99, (N, 9))])
     forces = rng.uniform(-50.0, 50.0, (N, 9))
     places = np.hstack([origins(rng) for _ in CUFFS])
-    kernel = CoupledDynamicsKernel(
-        tree, [BushingKinematics(tree, s) for s in CUFFS]
+    kernel = DynamicsKernel(
+        tree, bushings=[BushingKinematics(tree, s) for s in CUFFS]
     )
     plain = np.hstack([q, v, rest])
     found = kernel.evaluate(np.hstack([plain, forces, places]), None)
@@ -181,7 +180,7 @@ def test_derivatives_by_places(tree, rng, kind):
     else:
         shank = tree.segment_of[tree.body_index("exo_shank")]
         kernel = DesignDynamicsKernel(
-            tree, [b], moved=[MovedWeight(0, 4, shank, 70.0j)]
+            tree, bushings=[b], moved=[MovedWeight(0, 4, shank, 70.0j)]
         )
     x = rng.uniform(-0.5, 0.5, (N, kernel.sparsity.shape[1]))
     weights = rng.uniform(-1.0, 1.0, (N, len(kernel.sparsity)))

@@ -83,7 +83,7 @@ def test_dynamics_of_a_design(tree, rng):
         MovedWeight(1, 2, segments[0], 12.0),
         MovedWeight(2, 3, segments[1], 7.0j),
     ]
-    kernel = DesignDynamicsKernel(tree, bushings, None, moved)
+    kernel = DesignDynamicsKernel(tree, None, bushings, None, moved)
     n_in = kernel.sparsity.shape[1]
     x = rng.uniform(-0.5, 0.5, (3, n_in))
     own = DynamicsKernel(tree)

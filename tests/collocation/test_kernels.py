@@ -7,7 +7,6 @@ from pydrake.multibody.tree import MultibodyForces
 
 from drake_exo.collocation.bushing_kernels import (
     BushingKernel,
-    CoupledDynamicsKernel,
     EnergyKernel,
 )
 from drake_exo.collocation.kernels import (
@@ -188,7 +187,7 @@ def test_coupled_dynamics_derivatives(tree):
     bushings = [BushingKinematics(tree, s, preload) for s in CUFFS]
     x = _states(5, 51)
     x[:, 27:45] *= 50.0
-    check_jacobian(CoupledDynamicsKernel(tree, bushings), x)
+    check_jacobian(DynamicsKernel(tree, bushings=bushings), x)
 
 
 @pytest.mark.parametrize("segment", CUFFS)

@@ -5,7 +5,6 @@ from drake_exo.collocation.kernels import (
     FORCE_UNIT,
     AppliedWrench,
     DynamicsKernel,
-    LoadedDynamicsKernel,
 )
 from drake_exo.measurement.kinematics import wrench_on_body
 from drake_exo.measurement.sagittal import PlanarWrench
@@ -77,7 +76,7 @@ def test_derivatives_are_those_of_the_complex_step(tree, load):
 
 def test_kernel_takes_the_load_off_the_demand(tree, load):
     inner = DynamicsKernel(tree)
-    kernel = LoadedDynamicsKernel(inner, load)
+    kernel = DynamicsKernel(tree, load=load)
     rng = np.random.default_rng(5)
     x = rng.uniform(-1.0, 1.0, (len(TIMES), inner.sparsity.shape[1]))
     w = load.at(TIMES)
