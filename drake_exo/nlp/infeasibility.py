@@ -169,9 +169,6 @@ class ElasticProgram:
     def __init__(self, problem: SparseProgram, kinds, weight: float):
         self._problem = problem
         self._weight = weight
-        self.num_unknowns = problem.num_unknowns
-        self.num_constraints = problem.num_constraints
-        self.jacobian_structure = problem.jacobian_structure
         columns, rows = problem.relaxable(kinds)
         self._columns, self._rows = columns, rows
         self._A = problem.rows.linear[rows]
@@ -209,13 +206,9 @@ class ElasticProgram:
             for pair in zip(self._problem.hessian_structure, own, strict=True)
         )
 
-    def start_again(self) -> None:
-        """See SparseProgram, likewise the following."""
-        self._problem.start_again()
-
-    def expand(self, y: np.ndarray) -> np.ndarray:
-        """As SparseProgram."""
-        return self._problem.expand(y)
+    def __getattr__(self, name):
+        """What springs do not change is the problem's."""
+        return getattr(self._problem, name)
 
     def excess(self, y: np.ndarray) -> np.ndarray:
         """How far relaxed variables, then rows, are beyond their bounds."""
@@ -234,14 +227,6 @@ class ElasticProgram:
         count = len(self._columns)
         g[self._columns] += e[:count]
         return g + self._A.T @ e[count:]
-
-    def constraints(self, y):
-        """As SparseProgram."""
-        return self._problem.constraints(y)
-
-    def jacobian(self, y):
-        """As SparseProgram."""
-        return self._problem.jacobian(y)
 
     def hessian(self, y, multipliers, factor):
         """As SparseProgram, in the order of hessian_structure."""
