@@ -162,6 +162,25 @@ class PlanarTree:
         """Derivatives (nq,) of `body_angles` by the coordinates."""
         return self.angles_by_q[self.segment_of[self.body_index(body)]]
 
+    def link_motion(self, q, v, body: str, p_BoP=(0.0, 0.0)):
+        """Pose and motion of a link, or of a point fixed in it.
+
+        Args:
+            q, v: (N, nq).
+            body: name of the link.
+            p_BoP: (2,) of the point, as in `point_positions`.
+
+        Returns:
+            Position (2, N) [m], angle (N,) [rad] and (v_x, v_z, rate) (3, N).
+        """
+        J = self.point_jacobian(q, body, p_BoP)
+        velocity = np.einsum("nij,nj->in", J, v)
+        return (
+            self.point_positions(q, body, p_BoP).T,
+            self.body_angles(q, body),
+            np.vstack([velocity, v @ self.turning(body)]),
+        )
+
     def turned_alone(self, bodies, columns) -> np.ndarray:
         """Change of all coordinates (m, nq) if each body alone turns by 1.
 

@@ -158,21 +158,9 @@ def states_of(copies: Copies, links, osim: OsimModel, trial: Trial):
     def reach(names, segment, copy: Copy, rows=(0, 1, 2)):
         R, p = copies.zero[copy.body]
         aside = np.array([(p + R @ copy.frame.p)[2], 0.0, 0.0])
-        target = np.column_stack(
-            [
-                tree.point_positions(trial.q, segment, (0.0, 0.0)),
-                tree.body_angles(trial.q, segment),
-                np.tile(aside, (n, 1)),
-            ]
-        )
-        J = tree.point_jacobian(trial.q, segment, (0.0, 0.0))
-        rate = np.column_stack(
-            [
-                np.einsum("nij,nj->ni", J, trial.v),
-                trial.v @ tree.turning(segment),
-                np.zeros((n, 3)),
-            ]
-        )
+        place, angle, motion = tree.link_motion(trial.q, trial.v, segment)
+        target = np.column_stack([place.T, angle, np.tile(aside, (n, 1))])
+        rate = np.column_stack([motion.T, np.zeros((n, 3))])
         _reach(osim, q, v, names, copy, target, rate, list(rows), segment)
 
     def own(body):
@@ -373,19 +361,16 @@ def write_forces(
 
 def own_forces(copies: Copies, contact: ContactModel, trial: Trial):
     """Side -> force (n, 2) of the calibrated law at the solution."""
-    tree = copies.tree
     found = {side: np.zeros((len(trial.times), 2)) for side in ENDS}
     for segment, ground in contact.ground.under(copies.model).items():
         for s in ground.spheres.values():
-            at = (s.x, s.z)
-            p = tree.point_positions(trial.q, segment, at)
-            J = tree.point_jacobian(trial.q, segment, at)
-            motion = np.einsum("nij,nj->ni", J, trial.v)
+            place, _, motion = copies.tree.link_motion(
+                trial.q, trial.v, segment, (s.x, s.z)
+            )
             wrench = sphere_wrench(
                 "simbody",
-                *p.T,
-                *motion.T,
-                trial.v @ tree.turning(segment),
+                *place,
+                *motion,
                 s.stiffness,
                 s.dissipation,
                 s.radius,

@@ -223,26 +223,6 @@ class Seat(LeafSystem):
         output.set_value([applied_force(float, self._pelvis, point, force)])
 
 
-def link_motion(tree: PlanarTree, q, v, body: str):
-    """Pose and motion of a link.
-
-    Args:
-        tree: the model.
-        q, v: (N, nq).
-        body: name of the link.
-
-    Returns:
-        Position (2, N) [m], angle (N,) [rad] and (v_x, v_z, rate) (3, N).
-    """
-    J = tree.point_jacobian(q, body, (0.0, 0.0))
-    velocity = np.einsum("nij,nj->in", J, v)
-    return (
-        tree.point_positions(q, body, (0.0, 0.0)).T,
-        tree.body_angles(q, body),
-        np.vstack([velocity, v @ tree.turning(body)]),
-    )
-
-
 def feet(tree: PlanarTree) -> list[str]:
     """Links that stand on the ground."""
     both = [f"foot_{side}" for side in SIDES]
@@ -253,7 +233,7 @@ def ground_wrench(
     tree: PlanarTree, contact: GroundContact, q, v, foot: str | None = None
 ) -> PlanarWrench:
     """Ground reaction (N,) on a foot, the root by default."""
-    position, angle, motion = link_motion(tree, q, v, foot or tree.root)
+    position, angle, motion = tree.link_motion(q, v, foot or tree.root)
     wrench = foot_contact(
         contact.law,
         position[:, :, None],
@@ -271,7 +251,7 @@ def chair_wrench(
     """Force of the chair (N,) on the pelvis; none without a chair."""
     if seat is None:
         return PlanarWrench(np.zeros((len(q), 2)), np.zeros(len(q)))
-    position, angle, motion = link_motion(tree, q, v, "pelvis")
+    position, angle, motion = tree.link_motion(q, v, "pelvis")
     direction = np.array([np.cos(angle), np.sin(angle)])
     wrench = seat_wrench(seat, position, direction, motion)
     return _total(type(wrench)(*(w[:, None] for w in wrench)))
@@ -290,7 +270,7 @@ def interaction(
         bushing = cuff.bushing
         links = []
         for body in tree.cuffs[name]:
-            position, angle, motion = link_motion(tree, q, v, body)
+            position, angle, motion = tree.link_motion(q, v, body)
             links.append(((*position, angle), motion))
         (human, human_motion), (device, device_motion) = links
         deflection, rate = bushing_deflection(
