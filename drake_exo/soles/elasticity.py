@@ -142,15 +142,17 @@ def _collect(A, indptr, indices, data, own, place):
 @njit()
 def _extend(A, update, new, where):
     """Add a child's update to its place in both parts of a front."""
-    k = A.shape[1]
-    for j in range(new.shape[1]):
+    k, b = A.shape[1], len(where)
+    for j in range(3 * b):
         column = 3 * where[j // 3] + j % 3
-        for i in range(j, len(new)):
-            row = 3 * where[i // 3] + i % 3
-            if column < k:
-                A[row, column] += new[i, j]
-            else:
-                update[row - k, column - k] += new[i, j]
+        # Of the node's own block the part above the diagonal is not used.
+        for node in range(j // 3, b):
+            row = 3 * where[node]
+            for i in range(3):
+                if column < k:
+                    A[row + i, column] += new[3 * node + i, j]
+                else:
+                    update[row - k + i, column - k] += new[3 * node + i, j]
 
 
 def mirrored(lower: np.ndarray) -> np.ndarray:
