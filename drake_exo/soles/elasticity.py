@@ -29,7 +29,7 @@ from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.numerics import njit
 
 _FEW = 48  # nodes of a leaf
-_BLOCK = 512  # rows that are mirrored at a time
+_BLOCK = 32  # rows that are mirrored at a time
 
 
 @dataclass(frozen=True)
@@ -155,14 +155,15 @@ def _extend(A, update, new, where):
                     update[row - k + i, column - k] += new[3 * node + i, j]
 
 
-def mirrored(lower: np.ndarray) -> np.ndarray:
+@njit()
+def mirrored(lower):
     """A symmetric matrix from its lower triangle, in place."""
     n = len(lower)
-    for i in range(0, n, _BLOCK):
-        part = slice(i, min(i + _BLOCK, n))
-        lower[part, part.stop :] = lower[part.stop :, part].T
-        corner = np.tril(lower[part, part])
-        lower[part, part] = corner + np.tril(corner, -1).T
+    for first in range(0, n, _BLOCK):
+        last = min(first + _BLOCK, n)
+        for j in range(last):
+            for i in range(max(first, j + 1), last):
+                lower[j, i] = lower[i, j]
     return lower
 
 

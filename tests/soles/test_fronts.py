@@ -66,7 +66,7 @@ def test_fronts_are_sections_of_a_long_sole(long):
     assert max(spans) < 0.1
 
 
-@pytest.mark.parametrize("n", [3, 512, 700])
+@pytest.mark.parametrize("n", [3, 32, 700])
 def test_a_lower_triangle_is_mirrored(n):
     A = np.random.default_rng(0).standard_normal((n, n))
     lower, upper = np.tril(A), np.triu(np.full((n, n), 9.0), 1)
