@@ -55,6 +55,24 @@ def test_help_imports_no_command():
     assert said.endswith("False\n")
 
 
+def test_a_batch_that_is_done_loads_little(tmp_path):
+    """What its results are read and drawn with takes seconds to load."""
+    case = "name: a\nmaterial: {name: butyl}\nmesh: {brick: {divisions: [2]}}\n"
+    (tmp_path / "a.yaml").write_text(case)
+    batch = tmp_path / "batch.yaml"
+    batch.write_text("cases: [a.yaml]\nsteps: [sole simulate]\n")
+    run = ["batch", str(batch), "--out", str(tmp_path / "out")]
+    assert cli.main(run) == 3  # told: no brick
+    code = (
+        f"import sys; from drake_exo import cli; cli.main({run}); "
+        "print({'pydrake', 'scipy', 'matplotlib'} & {*sys.modules})"
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+    assert said.endswith("set()\n")
+
+
 @pytest.mark.parametrize(
     ("error", "code", "words"),
     [

@@ -19,15 +19,12 @@ from dataclasses import astuple, dataclass, fields
 from importlib.resources import files
 from itertools import cycle
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 
 from drake_exo.batch.file import Task
 from drake_exo.batch.run import Batch, read_outcome
-from drake_exo.calibration.results import read_trial
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
     COLOURS,
@@ -40,7 +37,12 @@ from drake_exo.files.output import (
     save_figure,
     write_json,
 )
-from drake_exo.measurement.trial import Trial
+
+# A batch that is done already needs neither Drake nor matplotlib.
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from drake_exo.measurement.trial import Trial
 
 _AGAIN = "run the batch again"
 # Pages of a folder that replay it: what soles write, and `view --out`.
@@ -479,6 +481,8 @@ def peak_rows(batch: Batch, rows: list[Row]) -> list[Row]:
     Raises:
         InputError: a trial's files are damaged.
     """
+    from drake_exo.calibration.results import read_trial
+
     found = []
     seen = {}
     for row in rows:
@@ -552,6 +556,8 @@ def draw_figures(out: Path, rows: list[Row]) -> dict[str, str]:
     Returns:
         Name of each file -> what it shows.
     """
+    import matplotlib
+
     drawn = {}
     # A sole's are of no prediction.
     rows = [row for row in rows if row.phase == "predict"]
@@ -580,6 +586,8 @@ def _mark(rows: list[Row]) -> str:
 
 def _over_subjects(rows: list[Row]) -> Figure | None:
     """Mean and SD over subjects of each signal's RMSD."""
+    from matplotlib.figure import Figure
+
     values: dict[str, dict[str, dict]] = {}
     for row in rows:
         if row.value is not None:
@@ -611,6 +619,8 @@ def _over_subjects(rows: list[Row]) -> Figure | None:
 
 def _bland_altman(rows: list[Row]) -> Figure | None:
     """A panel for each signal with at least three trials."""
+    from matplotlib.figure import Figure
+
     both: dict[str, dict[tuple, dict[str, Row]]] = {}
     for row in rows:
         for source in (PREDICTED, MEASURED):

@@ -262,7 +262,7 @@ def test_peaks_are_read_where_predictions_are(monkeypatch, tmp_path):
         read.append((folder, name, kind))
         return kind
 
-    monkeypatch.setattr(results, "read_trial", read_trial)
+    monkeypatch.setattr("drake_exo.calibration.results.read_trial", read_trial)
     monkeypatch.setattr(
         results, "_peaks", lambda *_: ({("a", "N"): 3.0}, {("a", "N"): 4.0})
     )
