@@ -98,9 +98,25 @@ def multiply(a, b, out):
                 out[i, j] += a[i, k] * b[k, j]
 
 
-def exp_rotation(w: np.ndarray) -> np.ndarray:
-    """Rotation matrix exp(hat(w)) of a rotation vector w [rad]."""
-    return Rotation.from_rotvec(w).as_matrix()
+@njit()
+def exp_rotation(w):
+    """Rotation matrix exp(hat(w)) of a rotation vector w [rad] (3,).
+
+    By a quaternion, as scipy's, whose checks take nine times as long.
+    """
+    angle = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    square = angle * angle
+    if angle <= 1e-3:
+        part = 0.5 - square / 48 + square * square / 3840
+    else:
+        part = np.sin(angle / 2) / angle
+    x, y, z, c = part * w[0], part * w[1], part * w[2], np.cos(angle / 2)
+    xx, yy, zz, cc = x * x, y * y, z * z, c * c
+    out = np.empty((3, 3))
+    out[0] = xx - yy - zz + cc, 2 * (x * y - z * c), 2 * (x * z + y * c)
+    out[1] = 2 * (x * y + z * c), -xx + yy - zz + cc, 2 * (y * z - x * c)
+    out[2] = 2 * (x * z - y * c), 2 * (y * z + x * c), -xx - yy + zz + cc
+    return out
 
 
 def rotation_vector(R: np.ndarray) -> np.ndarray:

@@ -40,8 +40,10 @@ def test_angles_and_tilt():
 
 def test_exponentials_and_hats():
     w = np.array([0.3, -0.5, 0.2])
-    expected = Rotation.from_rotvec(w).as_matrix()
-    np.testing.assert_allclose(numerics.exp_rotation(w), expected)
+    for size in (0.0, 1e-9, 1e-3, 1.0, 6.0):
+        expected = Rotation.from_rotvec(size * w).as_matrix()
+        found = numerics.exp_rotation(size * w)
+        np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-24)
     v = np.array([1.0, 2.0, -3.0])
     np.testing.assert_allclose(numerics.hat(w) @ v, np.cross(w, v))
 
