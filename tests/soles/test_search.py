@@ -710,3 +710,22 @@ def test_each_floor_starts_from_the_one_below(monkeypatch):
         is_same = below["coefficients"] is above["coefficients"]
         assert is_same is replaced
         assert (below["c_tr"] <= above["c_tr"]) is replaced
+
+
+def test_no_point_of_a_front_is_behind_another():
+    """Neither one that keeps its floor, nor one that misses it or fails."""
+    lines = [
+        (0.6, 0.5, 0.9, 1),  # floor, c_tr, c_rot, which one stands for it
+        (0.7, 0.4, 0.75, 1),
+        (0.8, 0.6, 0.82, 0),
+        (1.4, 0.9, 1.2, 4),  # misses its floor, as does the better next one
+        (1.5, 0.8, 1.3, 4),
+        (0.85, 0.1, np.nan, 0),
+        (2.0, np.nan, np.nan, 6),
+    ]
+    found = [
+        {"floor": floor, "ratio_tr": tr, "ratio_rot": rot, "number": k}
+        for k, (floor, tr, rot, _) in enumerate(lines)
+    ]
+    for own, (floor, *_, best) in zip(found, lines, strict=True):
+        assert search._best(found, own) == found[best] | {"floor": floor}

@@ -588,7 +588,7 @@ def pareto_front(
     brick = setup.sole(stage_mesh(setup.mesh, stages[1]))
     base = Step.by_exact_law(setup, brick, brick.penalty)
 
-    def found(problem, p, stage, title, approximation):
+    def searched(problem, p, stage, title, approximation):
         def note(iteration, best):
             say(f"{title}, iteration {iteration}: {best.trace[-1][1]:+.4f}")
 
@@ -605,10 +605,10 @@ def pareto_front(
             "first, or change its load or its bounds"
         )
     own = QuasiNewton(problem.metric)
-    p = found(problem, p, stages[0], "own optimum", own).p
+    p = searched(problem, p, stages[0], "own optimum", own).p
     cost = replace(setup.settings.cost, weight=0.0)
     alone = replace(free, settings=replace(free.settings, cost=cost))
-    points = [] if points is None else points
+    points, found = [] if points is None else points, []
     approximation = QuasiNewton(problem.metric)
     for floor in sorted(floors):
         problem = stage_problem(alone, stages[1])
@@ -617,16 +617,20 @@ def pareto_front(
             by_rot=problem.by_rot,
         )  # fmt: skip
         title = f"c_rot above {floor:.3f} of the brick's"
-        best = found(problem, p, stages[1], title, approximation)
-        points.append(_point_of_front(setup, problem, best, floor, base))
+        best = searched(problem, p, stages[1], title, approximation)
+        found.append(_point_of_front(setup, problem, best, floor, base))
         p = best.p
-        # What keeps a higher floor keeps a lower one, too.
-        for place in reversed(range(len(points) - 1)):
-            here, above = points[place : place + 2]
-            keeps = above["ratio_rot"] >= here["floor"]
-            if keeps and not above["ratio_tr"] >= here["ratio_tr"]:
-                points[place] = above | {"floor": here["floor"]}
+        # What keeps a floor, or more of c_rot, is a point for any other.
+        points[:] = [_best(found, own) for own in found]
     return points
+
+
+def _best(found: list[dict], own: dict) -> dict:
+    """Of least c_tr among those that keep a point's floor, or its c_rot."""
+    least = min(own["floor"], own["ratio_rot"])  # the floor, where that is NaN
+    able = [point for point in found if point["ratio_rot"] >= least]
+    best = min(able, key=lambda point: point["ratio_tr"], default=own)
+    return best | {"floor": own["floor"]}
 
 
 def _point_of_front(setup: Setup, problem, best, floor, base: Step) -> dict:
