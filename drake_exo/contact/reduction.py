@@ -4,6 +4,7 @@ A sole, simulated through a step, tells force and centre of pressure at many
 poses. The spheres' law at the same poses, at rest, is fitted by least squares
 to both, in the plane (pitch, forward) or in space. Friction is not fitted: a
 sole that sticks remembers where it stood, which a law of the velocity does not.
+Both slip at the same μ.
 """
 
 from collections.abc import Iterable
@@ -45,6 +46,7 @@ class Samples:
         cop: centre of pressure, forward and left [m], (N, 2).
         size: of the sole (x, y, z) [m], (3,): it lies at z <= 0.
         middle: of the sole in its frame, forward and left [m], (2,).
+        friction: Coulomb's coefficient μ.
     """
 
     origin: np.ndarray
@@ -53,6 +55,7 @@ class Samples:
     cop: np.ndarray
     size: np.ndarray
     middle: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    friction: float = 0.8
 
     @property
     def loaded(self) -> np.ndarray:
@@ -68,17 +71,19 @@ class Samples:
         return float(max(-lowest.min(), 1e-6))
 
 
-def softened(share: float) -> SimbodyConstants:
+def softened(share: float, friction: float = 0.8) -> SimbodyConstants:
     """The law's constants for a contact that gives a share of the usual depth.
 
     The defaults are for a heel pad that gives a centimetre: smoothing is in
-    proportion.
+    proportion. Friction is Coulomb's: static and dynamic are the same.
     """
     usual = SimbodyConstants()
     return replace(
         usual,
         constant_contact_force=share**2 * usual.constant_contact_force,
         hertz_smoothing=usual.hertz_smoothing / share,
+        static_friction=friction,
+        dynamic_friction=friction,
     )
 
 
@@ -378,7 +383,8 @@ def reduce_sole(
         full = full * scale
         touch = [*samples.middle, CONTACT_RADIUS_M - samples.size[2]]
         place = full[:, 1:] + touch
-        return np.exp(full[:, 0]), place, softened(float(np.exp(u[0])))
+        constants = softened(float(np.exp(u[0])), samples.friction)
+        return np.exp(full[:, 0]), place, constants
 
     def residuals(u):
         total, cop = _combined(*forces(samples, *unpacked(u)))

@@ -701,7 +701,7 @@ def sole_samples(source: Step | Path | str) -> tuple[np.ndarray, ...]:
 
     >>> import drake_exo as dx
     >>> step = dx.soles.Case.from_text(dx.soles.EXAMPLE).simulate()
-    >>> O, R, force, cop, size, middle = dx.soles.sole_samples(step)
+    >>> O, R, force, cop, size, middle, mu = dx.soles.sole_samples(step)
     >>> O.shape, R.shape, force.shape, cop.shape, size.round(3).tolist()
     ((5, 3), (5, 3, 3), (5,), (5, 2), [0.23, 0.13, 0.03])
 
@@ -711,12 +711,12 @@ def sole_samples(source: Step | Path | str) -> tuple[np.ndarray, ...]:
     Returns:
         Of samples that converged: place of the sole frame (N, 3) [m],
         orientation (N, 3, 3), upward force (N,) [N], centre of pressure (N, 2)
-        [m]; and the sole's length, width, depth below the frame (3,) [m], and
-        its middle in the frame, forward and left (2,) [m].
+        [m]; and the sole's length, width, depth below the frame (3,) [m], its
+        middle in the frame, forward and left (2,) [m], and its friction μ.
 
     Raises:
-        InputError: There is no such file, or it is damaged; no sample
-            converged; the ground is not flat.
+        InputError: There is no such file, it is damaged, or of a version that
+            did not say μ; no sample converged; the ground is not flat.
     """
     remedy = "simulate the sole again"
     if isinstance(source, Step):
@@ -733,10 +733,13 @@ def sole_samples(source: Step | Path | str) -> tuple[np.ndarray, ...]:
             f"{name}: the sole stood on uneven ground; simulate it without the "
             "key ground"
         )
+    if history.friction is None:
+        raise InputError(f"{name}: does not say the friction; {remedy}")
     up, P, nodes = history.F[good, :, 2], history.P[good], mesh.nodes
     O, R = history.O[good], history.R[good]  # noqa: E741
     force = up.sum(axis=1)
     cop = np.einsum("qm,qmi->qi", up / force[:, None], P[:, :, :2])
     low, high = nodes.min(axis=0), nodes.max(axis=0)
     size = np.array([*(high - low)[:2], -low[2]])
-    return O, R, force, cop, size, 0.5 * (low + high)[:2]
+    middle = 0.5 * (low + high)[:2]
+    return O, R, force, cop, size, middle, history.friction

@@ -368,6 +368,7 @@ class StepHistory:
         between: Places (m, 3) just before samples to which others in
             between have led.
         linear: Linearisation of every sample, where they are kept.
+        friction: Coulomb's coefficient μ; None where a file does not say it.
     """
 
     F: np.ndarray
@@ -378,6 +379,7 @@ class StepHistory:
     reports: list[Convergence] = field(default_factory=list)
     between: dict[int, np.ndarray] = field(default_factory=dict)
     linear: list[Linearisation] = field(default_factory=list)
+    friction: float | None = None
 
     @property
     def converged(self) -> np.ndarray:
@@ -416,8 +418,9 @@ def write_history(
 ) -> None:
     """Write forces, poses, places and stiffness over time as NPZ.
 
-    Beside them the heights of a ground that is not flat.
+    Beside them μ, and the heights of a ground that is not flat.
     """
+    known = {} if history.friction is None else {"friction": history.friction}
     np.savez_compressed(
         path,
         times=times,
@@ -429,6 +432,7 @@ def write_history(
         contact_nodes=mesh.contact,
         nodes_L=mesh.nodes,
         tets=mesh.tets,
+        **known,
         **ground.arrays(),
     )
 
@@ -456,10 +460,13 @@ def read_history(path: Path, remedy: str):
     """
     data = read_arrays(path, remedy)
     wanted = _HISTORY | (_GROUND if ARRAYS[0] in data else {})
+    wanted |= {"friction": ()} if "friction" in data else {}
     check_arrays(path, data, wanted, remedy)
     names = ("force_W", "origin_W", "rotation_WL", "place_W", "stiffness")
     times, nodes, tets = (data[n] for n in ("times", "nodes_L", "tets"))
     history = StepHistory(*(data[name] for name in names))
+    if "friction" in data:
+        history.friction = float(data["friction"])
     good = np.isfinite(history.K_c).all(axis=(1, 2))
     values = (nodes, *(data[n][good] for n in ("times", *names)))
     if not all((np.abs(x) < _LARGEST).all() for x in values):
@@ -511,6 +518,7 @@ def simulate(
         np.tile(np.eye(3), (steps, 1, 1)),
         np.zeros((steps, m, 3)),
         np.full((steps, 6, 6), np.nan),
+        friction=solver.law.friction,
     )
     good = None  # (sample, state, places) of the last success
     left = 0 if near else np.inf  # Newton steps that may still be taken

@@ -130,9 +130,9 @@ def test_too_few_samples_are_refused():
 
 @pytest.mark.slow
 def test_the_command_writes_law_and_samples(tmp_path, capsys):
-    step = Case.from_text(
-        EXAMPLE.replace("samples: 5", "samples: 9")
-    ).simulate()
+    text = EXAMPLE.replace("samples: 5", "samples: 9")
+    text += "contact: {friction: 0.35}\n"
+    step = Case.from_text(text).simulate()
     step.write(tmp_path)
     out = tmp_path / "law.yaml"
     argv = ["sole", "reduce", str(tmp_path), "--spheres", "2", "--planar",
@@ -140,6 +140,8 @@ def test_the_command_writes_law_and_samples(tmp_path, capsys):
     assert cli.main(argv) in (0, 1)
     law = yaml.safe_load(out.read_text())
     assert law["planar"] and list(law["spheres"]) == ["sphere1", "sphere2"]
+    assert law["constants"]["static_friction"] == 0.35
+    assert law["constants"]["dynamic_friction"] == 0.35
     assert f"{100 * law['force_error_rms']:.1f} %" in capsys.readouterr().out
     assert out.with_suffix(".csv").is_file()
     # From Python, of the step or its folder: the same files.

@@ -355,7 +355,7 @@ def test_a_sole_as_a_whole_is_read_from_its_history(two, tmp_path):
     K[4] = np.nan
     history = replace(two.history, K_c=K)
     write_history(tmp_path / HISTORY, two.sole.mesh, two.times, history)
-    O, R, force, cop, size, middle = sole_samples(tmp_path)  # noqa: E741
+    O, R, force, cop, size, middle, mu = sole_samples(tmp_path)  # noqa: E741
     good = np.delete(np.arange(30), 4)
     np.testing.assert_array_equal(O, two.origin[good])
     np.testing.assert_array_equal(R, two.rotation[good])
@@ -365,6 +365,11 @@ def test_a_sole_as_a_whole_is_read_from_its_history(two, tmp_path):
     np.testing.assert_allclose(cop * force[:, None], weighed)
     np.testing.assert_allclose(size, [0.23, 0.13, 0.03])
     np.testing.assert_allclose(middle, 0.0, atol=1e-12)
+    assert mu == two.law.friction
+    unsaid = replace(history, friction=None)  # as of an earlier version
+    write_history(tmp_path / HISTORY, two.sole.mesh, two.times, unsaid)
+    with pytest.raises(InputError, match="does not say the friction; simul"):
+        sole_samples(tmp_path)
     K[:] = np.nan
     write_history(tmp_path / HISTORY, two.sole.mesh, two.times, history)
     with pytest.raises(InputError, match="no sample converged"):
