@@ -196,6 +196,13 @@ def test_a_zmp_outside_is_told_by_how_much():
     assert "of a pattern least_share" in said
     edge = Load([0.0], force[:1], [[0.2, 0.06]])
     edge.check_inside(places)
+    # Where the pose is given, it is only what was recorded.
+    given = np.full((3, 3, 3), np.nan)
+    given[2] = np.eye(3)
+    with pytest.raises(InputError, match="1 of 3 samples"):
+        replace(load, rotation=given).check_inside(places)
+    given[1] = np.eye(3)
+    replace(load, rotation=given).check_inside(places)
 
 
 @pytest.mark.parametrize(
