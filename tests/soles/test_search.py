@@ -535,22 +535,29 @@ def test_the_better_of_a_sole_with_its_walk_and_alone(
     coefficients = np.full(problem.spline.count, 0.9)
 
     def design(c, holds, walk):
+        there = walk if len(walk) else setup.gait.start
         return SimpleNamespace(
             problem=problem, walk=walk,
-            setup=replace(setup, load=setup.gait.load(walk)),
+            setup=replace(setup, load=setup.gait.load(there)),
             step=SimpleNamespace(c=c, c_tr=c + 1, c_rot=1.0),
             verdict=lambda: SimpleNamespace(holds=holds),
         )  # fmt: skip
 
     def alone(own, own_problem, at, optima, seconds):
-        assert own is setup and own_problem is problem
+        # Its own limits, none of the walk's; how its search ended.
+        assert own.gait is None and type(own_problem) is search.ShapeProblem
+        assert (at.starts, at.strain_scale) == (({"stage": 2},), 0.5)
+        assert (optima, seconds) == (ended, [3.0])
         shape, walk = np.split(at.p, [problem.spline.count])
         asked.append(shape)
         return design(c, holds, walk)
 
     monkeypatch.setattr(search, "verified", alone)
-    at = Checkpoint(alone=coefficients)
-    best = search._with_walk(setup, design(5.0, True, x), at)
+    ended = [Optimum(coefficients, 1.0, seconds=3.0)]
+    before = search.Found(ended, Checkpoint(strain_scale=0.5))
+    at = Checkpoint(alone=coefficients, starts=({"stage": 2},))
+    found = search.Found([], at, alone=before)
+    best = search._with_walk(setup, design(5.0, True, x), found)
     np.testing.assert_array_equal(asked, [coefficients])
     assert best.step.c == (4.0 if is_alone else 5.0)
     length, time = best.gait["walk"].values()
@@ -571,7 +578,7 @@ def test_the_better_of_a_sole_with_its_walk_and_alone(
         )
         np.testing.assert_allclose(written, own, atol=1e-9)
     # Outside of its limits itself, what holds is before it.
-    best = search._with_walk(setup, design(1.0, False, x), at)
+    best = search._with_walk(setup, design(1.0, False, x), found)
     assert best.step.c == (c if holds else 1.0)
 
 
@@ -626,7 +633,10 @@ def test_walks_begin_with_the_sole_for_the_case_s_own(monkeypatch):
     np.testing.assert_allclose(design.p, np.append(alone - 0.02, chosen))
     assert design.stages == [1, 2] and len(design.at.starts) == 8
     np.testing.assert_array_equal(design.at.alone, alone)
-    assert told == [(setup, design, design.at)]
+    ((*_, told_found),) = told
+    assert told == [(setup, design, told_found)]
+    assert [best.stage for best in told_found.alone.optima] == [0, 1, 2]
+    assert told_found.at is design.at
     assert sum("walk 6/8, stage 2/3" in line for line in said) == 1
     # One that has come to its walk goes on there; before, with the sole.
     given.clear()

@@ -71,7 +71,7 @@ class Design:
         step: The design through the step, from a cold start.
         first: The initial shape likewise.
         optima: Outcome of every stage; where a walk was sought of those that
-            moved it.
+            moved it, or of the sole alone, where that is the design.
         stages_seconds: What each took.
         starts: Cost and violation that every start, or walk that was tried,
             has led to, after which stage, and the cost on a finer mesh.

@@ -77,12 +77,15 @@ class Found:
         at: Where it stands.
         seconds: What they took, in the end those of all starts.
         start: Its number.
+        alone: Of a walk that is sought what the sole alone has come to; None
+            where an interrupted run knows no more than its coefficients.
     """
 
     optima: list[Optimum]
     at: Checkpoint | None
     seconds: float = 0.0
     start: int = 0
+    alone: "Found | None" = None
 
     @property
     def stage(self) -> int:
@@ -97,7 +100,8 @@ class Found:
     def after(self, best: Optimum, at: Checkpoint) -> "Found":
         """One stage further."""
         seconds = self.seconds + best.seconds
-        return Found([*self.optima, best], at, seconds, self.start)
+        optima = [*self.optima, best]
+        return replace(self, optima=optima, at=at, seconds=seconds)
 
 
 def optimise(
@@ -233,9 +237,10 @@ def in_walk(
     Sole and walk move together. `before` is what the sole alone has come to,
     or else `at` has it. Nothing is kept in `out`.
     """
+    alone = None
     if before:
-        (found,) = before.values()
-        at = found.at
+        (alone,) = before.values()
+        at = alone.at
     stage = max(len(setup.settings.optimize.stages) - 2, 0)
     p = np.append(at.alone, setup.gait.walk(number))
     at = Checkpoint(
@@ -245,7 +250,7 @@ def in_walk(
         setup, 0, stage, at, None,
         lambda line: say(f"walk {number + 1}/{count}, {line}"),
     )  # fmt: skip
-    return Found([], at, start=number).after(*ended)
+    return Found([], at, start=number, alone=alone).after(*ended)
 
 
 def _racers(before) -> list[Found]:
@@ -266,7 +271,8 @@ def go_on(
         racers = _racers(before)
         best = min(racers, key=lambda racer: racer.rank)
         at = replace(best.at, starts=tuple(r.at.starts[-1] for r in racers))
-        found = Found(best.optima, at, sum(racer.seconds for racer in racers))
+        seconds = sum(racer.seconds for racer in racers)
+        found = Found(best.optima, at, seconds, alone=best.alone)
         _keep(at, out)
         if out is not None:
             for racer in racers:
@@ -286,18 +292,21 @@ def go_on(
 
 def finished(setup: Setup, found: Found, say) -> Design:
     """The design of a search; with its walk, where that is free."""
-    began, stages = time.perf_counter(), setup.settings.optimize.stages
+    began, design = time.perf_counter(), _verified(setup, found)
+    if setup.gait:
+        design = _with_walk(setup, design, found)
+    design.seconds = found.seconds + time.perf_counter() - began
+    return design
+
+
+def _verified(setup: Setup, found: Found) -> Design:
+    """Where a search stands, beside the limits of its last stage."""
+    stages = setup.settings.optimize.stages
     problem = stage_problem(setup, stages[-1])
     if len(stages) > 1:
         _scale(problem, found.at)
-    design = verified(
-        setup, problem, found.at, found.optima,
-        [best.seconds for best in found.optima],
-    )  # fmt: skip
-    if setup.gait:
-        design = _with_walk(setup, design, found.at)
-    design.seconds = found.seconds + time.perf_counter() - began
-    return design
+    seconds = [best.seconds for best in found.optima]
+    return verified(setup, problem, found.at, found.optima, seconds)
 
 
 def in_own_walk(setup: Setup) -> Setup:
@@ -311,14 +320,16 @@ def _walking(setup: Setup, robot: Robot) -> Setup:
     return replace(setup, settings=replace(setup.settings, load=load))
 
 
-def _with_walk(setup: Setup, design: Design, at: Checkpoint) -> Design:
+def _with_walk(setup: Setup, design: Design, found: Found) -> Design:
     """Told what has become of its walk, and of the sole alone.
 
     That is the design where it is no worse: within its limits first, then by c.
     """
     gait = setup.gait
-    p = np.append(at.alone, gait.start)
-    alone = verified(setup, design.problem, replace(at, p=p), [], [])
+    at = replace(found.at, p=found.at.alone)
+    of = Found([], at) if found.alone is None else found.alone
+    of.at = replace(at, strain_scale=of.at.strain_scale)
+    alone = _verified(in_own_walk(setup), of)
     own = alone.step
 
     def rank(one: Design):
@@ -326,7 +337,7 @@ def _with_walk(setup: Setup, design: Design, at: Checkpoint) -> Design:
 
     if rank(alone) <= rank(design):
         design = alone
-    x = design.walk
+    x = design.walk if len(design.walk) else gait.start
     robots = gait.robot, gait.at(x)
     before, after = map(gait.numbers, robots)
     times = (robot.bearing for robot in robots)
