@@ -543,7 +543,10 @@ def compare_strains(
         "c_tr_small": float(weights @ sigma_max_translation(small.K_c)),
         "c_tr_finite": float(weights @ sigma_max_translation(finite.K_c)),
         "samples": [
-            {"sample": int(rows[q] + 1), **_sample(sole, small, finite, q)}
+            {
+                "sample": int(rows[q] + 1),
+                **_sample(sole, small, finite, q, setup.up),
+            }
             for q in np.unique([0, count // 2, count - 1])
         ],
         "failures": _failures(finite, rows),
@@ -584,9 +587,12 @@ def _failures(finite: FiniteHistory, rows: np.ndarray) -> list[dict]:
 
 
 def _sample(
-    sole: Sole, small: StepHistory, finite: FiniteHistory, q: int
+    sole: Sole, small: StepHistory, finite: FiniteHistory, q: int, up
 ) -> dict:
-    """Figures of one sample by both, NaN where there is no equilibrium."""
+    """Figures of one sample by both, NaN where there is no equilibrium.
+
+    `up` is the ground's normal on the whole, (3,).
+    """
     row = {
         "converged": bool(finite.reports[q].converged),
         "reached": float(finite.reached[q]),
@@ -595,11 +601,12 @@ def _sample(
     if small.reports[q].converged:
         R = small.R[q]
         eps = np.linalg.eigvalsh(sole.strain(sole.displacement(small.F[q] @ R)))
-        shapes["small"] = [tilt_deg(R), 1 + eps.max(), 1 + eps.min()]
+        shapes["small"] = [tilt_deg(R, up), 1 + eps.max(), 1 + eps.min()]
     if finite.reports[q].converged:
         state = finite.states[q]
         body = NeoHookeanBody(sole.mesh, sole.material)
-        shapes["finite"] = [tilt_deg(state.R), *body.stretches(state.u)]
+        tilt = tilt_deg(state.R, up)
+        shapes["finite"] = [tilt, *body.stretches(state.u)]
     for kind, K_c in zip(_KINDS, (small.K_c[q], finite.K_c[q]), strict=True):
         values = (
             sigma_max_translation(K_c),

@@ -163,6 +163,6 @@ def without_yaw(R: np.ndarray) -> np.ndarray:
     return R @ np.moveaxis(back, (0, 1), (-2, -1))
 
 
-def tilt_deg(R: np.ndarray) -> np.ndarray:
-    """Angle between the sole's normal and the vertical [°], (...)."""
-    return np.rad2deg(np.arccos(np.clip(R[..., 2, 2], -1.0, 1.0)))
+def tilt_deg(R: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Angle between the sole's normal and the ground's, (3,) [°], (...)."""
+    return np.rad2deg(np.arccos(np.clip(R[..., 2] @ up, -1.0, 1.0)))

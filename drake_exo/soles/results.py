@@ -309,8 +309,8 @@ class Step:
 
     @property
     def tilt_deg(self) -> np.ndarray:
-        """Angle between the sole's normal and the vertical [°], (N,)."""
-        return tilt_deg(self.history.R)
+        """Angle between the sole's normal and the ground's [°], (N,)."""
+        return tilt_deg(self.history.R, self.setup.up)
 
     @property
     def pressure(self) -> np.ndarray:

@@ -511,10 +511,8 @@ class Setup:
             InputError: The ZMP leaves the sole, or the force the friction
                 cone.
         """
-        level = self.level
-        self.load.check_inside(level)
-        up = self.ground.normal(level)
-        self.load.check_friction(self.settings.contact.friction, up)
+        self.load.check_inside(self.level)
+        self.load.check_friction(self.settings.contact.friction, self.up)
 
     @property
     def gait(self) -> Gait | None:
@@ -522,8 +520,7 @@ class Setup:
         pattern = self.settings.load and self.settings.load.pattern
         if not (pattern and pattern.free):
             return None
-        up = self.ground.normal(self.level)
-        return Gait(pattern, self.settings.contact.friction, tuple(up))
+        return Gait(pattern, self.settings.contact.friction, tuple(self.up))
 
     @property
     def name(self) -> str:
@@ -536,10 +533,14 @@ class Setup:
         return _level(self.mesh, self.start)
 
     @property
+    def up(self) -> np.ndarray:
+        """Normal of the ground on the whole, (3,)."""
+        return self.ground.normal(self.level)
+
+    @property
     def friction_used(self) -> float:
         """Largest force along over across the ground on the whole."""
-        up = self.ground.normal(self.level)
-        return float(self.load.friction_used(up).max())
+        return float(self.load.friction_used(self.up).max())
 
     @property
     def ground_told(self) -> dict:

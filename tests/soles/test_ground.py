@@ -16,6 +16,7 @@ from drake_exo.soles.elasticity import MATERIALS, Sole
 from drake_exo.soles.finite_strain import (
     FiniteStrainSolver,
     NeoHookeanBody,
+    compare_strains,
     follow,
 )
 from drake_exo.soles.loads import Load
@@ -300,6 +301,19 @@ def test_a_slope_beyond_friction_is_refused(tmp_path):
     (tmp_path / "case.yaml").write_text(CASE, encoding="utf-8")
     with pytest.raises(InputError, match=r"asks for a friction of 0\.9"):
         Case.read(tmp_path / "case.yaml")
+
+
+def test_tilt_is_that_from_the_slope(tmp_path):
+    """A sole that lies on it does not lean."""
+    _file(tmp_path / "ground.csv", _points(lambda x, y: 0.2 * x, count=21))
+    (tmp_path / "case.yaml").write_text(CASE, encoding="utf-8")
+    case = Case.read(tmp_path / "case.yaml")
+    step = case.simulate()
+    pitch = -np.rad2deg(step.angles[:, 1])
+    slope = np.rad2deg(np.arctan(0.2))
+    assert (np.abs(pitch - slope) < 1.5).all() and (step.tilt_deg < 1.5).all()
+    samples = compare_strains(case)["samples"]
+    assert samples[0]["tilt_deg_small"] < 1.5 > samples[0]["tilt_deg_finite"]
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from small_parts import with_setup
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh, brick
-from drake_exo.soles.numerics import rotations_xyz
+from drake_exo.soles.numerics import exp_rotation, rotations_xyz
 from drake_exo.soles.optimize import limits as module
 from drake_exo.soles.optimize.limits import (
     SurfaceLimits,
@@ -208,6 +208,9 @@ def test_rough_changes_are_farther_than_smooth_ones(problem):
     )
 
 
+UP = np.array([0.0, 0.0, 1.0])
+
+
 def _evaluation(K=None, R=None, held=None):
     count = len(K) if K is not None else len(R)
     if R is None:
@@ -230,7 +233,7 @@ def test_values_by_hand():
     assert stability(K) == pytest.approx(2 / np.sqrt(5))
     lean = np.array([[np.deg2rad(10.0), 0, 0]])
     R = rotations_xyz(lean)
-    tilt = module._tilt(_evaluation(R=R), 20.0)[0]
+    tilt = module._tilt(_evaluation(R=R), 20.0, UP)[0]
     wanted = np.cos(np.deg2rad(10)) - np.cos(np.deg2rad(20))
     assert tilt == pytest.approx(wanted / 0.06)
     strain, _ = module.strain_limit(_evaluation(K), 0.4)
@@ -239,8 +242,21 @@ def test_values_by_hand():
     found = stability(np.concatenate([K, 3 * K]))
     one = 2 / np.sqrt(5)
     assert one - np.log(2) / 60 < found < one
-    found = module._tilt(_evaluation(R=np.concatenate([R, R])), 20.0)[0]
+    found = module._tilt(_evaluation(R=np.concatenate([R, R])), 20.0, UP)[0]
     assert found == pytest.approx(tilt - np.log(2) / 60)
+    # On a slope from that, and so do its derivatives by turns of the sole.
+    up = rotations_xyz(np.deg2rad([4.0, 3.0, 0.0]))[:, 2]
+    R = rotations_xyz(np.deg2rad([[4.0, 3.0, 50.0]]))
+    level, _ = module._tilt(_evaluation(R=R), 20.0, up)
+    assert level == pytest.approx((1 - np.cos(np.deg2rad(20))) / 0.06)
+    R = rotations_xyz(np.deg2rad([[15.0, -8.0, 20.0]]))
+    by_turn = module._tilt(_evaluation(R=R), 20.0, up)[1]().by_turn[0]
+    for w, slope in zip(1e-6 * np.eye(3), by_turn, strict=True):
+        ends = [
+            module._tilt(_evaluation(R=exp_rotation(s * w) @ R), 20.0, up)[0]
+            for s in (1, -1)
+        ]
+        assert (ends[0] - ends[1]) / 2e-6 == pytest.approx(slope, rel=1e-6)
 
 
 def test_a_pose_that_is_prescribed_tips_nothing():
@@ -250,7 +266,9 @@ def test_a_pose_that_is_prescribed_tips_nothing():
     both = np.concatenate([K, -5.0 * K])  # the second would tip
     R = rotations_xyz(np.deg2rad([[2.0, 0, 0], [50.0, 0, 0]]))
     first = _evaluation(both, R, held)
-    limits = active_limits({"stability": 2e3, "tilt_deg": 20.0}, first, None)
+    limits = active_limits(
+        {"stability": 2e3, "tilt_deg": 20.0}, first, None, UP
+    )
     assert list(limits) == ["stability", "tilt_deg"]
     assert limits["stability"].keywords["scale"] == pytest.approx(8e3)
     assert list(limits["stability"](first)[1]().pairs) == [0]
@@ -267,9 +285,9 @@ def test_a_pose_that_is_prescribed_tips_nothing():
 def test_limits_that_are_given_are_active():
     K = -np.diag([1e4, 3e4, 2e4, 50.0, 20.0, 70.0])[None]
     first = _evaluation(np.concatenate([K, 2 * K]))
-    assert active_limits({"volume": 1.0}, first, None) == {}
+    assert active_limits({"volume": 1.0}, first, None, UP) == {}
     given = {"stability": 500.0, "tilt_deg": 8.0, "strain": 0.1, "c_rot": 30.0}
-    found = active_limits(given, first, "w")
+    found = active_limits(given, first, "w", UP)
     stability, tilt, strain, c_rot = (x.keywords for x in found.values())
     assert stability["least"] == 500.0
     assert stability["scale"] == pytest.approx(8e3)
@@ -280,7 +298,7 @@ def test_limits_that_are_given_are_active():
 def test_a_first_shape_that_tips_does_not_turn_the_limit_round():
     tips = np.diag([1e4, 3e4, -200.0, 50.0, 20.0, 70.0])
     first = _evaluation(-tips[None])
-    (limit,) = active_limits({"stability": 1e3}, first, None).values()
+    (limit,) = active_limits({"stability": 1e3}, first, None, UP).values()
     values = []
     for least in (-200.0, 100.0, 2500.0):
         K = -np.diag([1e4, 3e4, least, 50.0, 20.0, 70.0])[None]

@@ -30,7 +30,9 @@ def test_angles_and_tilt():
     np.testing.assert_allclose(numerics.angles_xyz(R), angles)
     z = Rotation.from_matrix(R).apply([0.0, 0.0, 1.0])
     expected = np.degrees(np.arccos(z[:, 2]))
-    np.testing.assert_allclose(numerics.tilt_deg(R), expected)
+    up = np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(numerics.tilt_deg(R, up), expected)
+    np.testing.assert_allclose(numerics.tilt_deg(R, z[0])[0], 0.0, atol=1e-5)
     turned = numerics.rotation_z(0.7)
     np.testing.assert_allclose(
         turned, Rotation.from_euler("z", 0.7).as_matrix(), atol=1e-15

@@ -84,12 +84,9 @@ def stability_terms(K_c: np.ndarray, factors: np.ndarray) -> Derivative:
     return Derivative(pairs)
 
 
-def tilt_terms(R: np.ndarray, factors: np.ndarray) -> Derivative:
-    """Of Σ factor · R_zz (the cosine of the tilt)."""
-    by_turn = {}
-    for q in heavy(factors):
-        x, y, _ = factors[q] * R[q, :, 2]
-        by_turn[q] = np.array([y, -x, 0.0])
+def tilt_terms(R: np.ndarray, up, factors: np.ndarray) -> Derivative:
+    """Of Σ factor · (R z) · up (the cosine of the tilt)."""
+    by_turn = {q: factors[q] * np.cross(R[q, :, 2], up) for q in heavy(factors)}
     return Derivative(by_turn=by_turn)
 
 

@@ -230,12 +230,12 @@ def _stability(e: Evaluation, least: float, scale: float):
     return value, lambda: stability_terms(K, share * slope / scale)
 
 
-def _tilt(e: Evaluation, largest_deg: float):
-    """Scaled difference of the cosines of the verticals' angle."""
+def _tilt(e: Evaluation, largest_deg: float, up: np.ndarray):
+    """Scaled difference of the cosines of the normals' angle."""
     R = e.history.R
-    margin = R[:, 2, 2] - np.cos(np.deg2rad(largest_deg))
+    margin = R[:, :, 2] @ up - np.cos(np.deg2rad(largest_deg))
     value, share = _least_free(e, margin / _TILT_SCALE)
-    return value, lambda: tilt_terms(R, share / _TILT_SCALE)
+    return value, lambda: tilt_terms(R, up, share / _TILT_SCALE)
 
 
 def strain_limit(e: Evaluation, largest: float):
@@ -264,11 +264,11 @@ def _least_free(e: Evaluation, x: np.ndarray):
 
 
 def active_limits(
-    limits: dict[str, float], first: Evaluation, by_rot: np.ndarray
+    limits: dict[str, float], first: Evaluation, by_rot: np.ndarray, up
 ) -> dict[str, Callable]:
     """Limits that need a simulation, by name, the brick's for scales.
 
-    `by_rot` are the samples' factors in c_rot.
+    `by_rot` are the samples' factors in c_rot, `up` is the ground's normal.
     """
     out = {}
     if least := limits.get("stability"):
@@ -277,7 +277,8 @@ def active_limits(
         scale = max(abs(float(margin.min())), least)
         out["stability"] = partial(_stability, least=least, scale=scale)
     if "tilt_deg" in limits:
-        out["tilt_deg"] = partial(_tilt, largest_deg=limits["tilt_deg"])
+        largest = limits["tilt_deg"]
+        out["tilt_deg"] = partial(_tilt, largest_deg=largest, up=up)
     if "strain" in limits:
         out["strain"] = partial(strain_limit, largest=limits["strain"])
     if least := limits.get("c_rot"):

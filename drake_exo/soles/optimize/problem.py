@@ -108,7 +108,9 @@ class ShapeProblem:
                 "which tells why, and change its load, material or mesh"
             )
         self.scales = np.abs(self._costs(self.first))
-        self.limited = active_limits(self.limits, self.first, self.by_rot)
+        self.limited = active_limits(
+            self.limits, self.first, self.by_rot, setup.up
+        )
 
     @property
     def undeformed(self) -> np.ndarray:
