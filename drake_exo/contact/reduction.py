@@ -329,11 +329,14 @@ def reduce_sole(
 ) -> Reduction:
     """Fit spheres to a sole that was simulated, to wear them in a study.
 
+    `replace` being that of `dataclasses`:
+
     >>> import drake_exo as dx
-    >>> case = dx.soles.Case.from_text(
-    ...     dx.soles.EXAMPLE.replace("samples: 5", "samples: 9")
-    ... )
-    >>> samples = dx.soles.sole_samples(case.simulate())
+    >>> zmp = [[0.01 * k, 0.0] for k in range(-4, 5)]
+    >>> times = [0.1 * k for k in range(9)]
+    >>> load = dx.soles.Load(times, [[0, 0, 300.0]] * 9, zmp)
+    >>> case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    >>> samples = dx.soles.sole_samples(replace(case, load=load).simulate())
     >>> found = dx.contact.reduce_sole(samples, 2, planar=True)
     >>> found.law.spheres["sphere1"].modulus_n_m2 > 1e6
     True
@@ -351,8 +354,8 @@ def reduce_sole(
         `foot_ground.law` of a study names.
 
     Raises:
-        InputError: no samples of a sole, no spheres, or fewer samples than
-            unknowns.
+        InputError: no samples of a sole, no spheres, or fewer samples that
+            differ than unknowns.
     """
     samples = list(samples) if isinstance(samples, Iterable) else [samples]
     if len(samples) < 5 or isinstance(samples[0], str):
@@ -365,15 +368,17 @@ def reduce_sole(
         raise InputError(f"{spheres} spheres bear nothing; take 2 or more")
     columns = [0, 1, 3] if planar else [0, 1, 2, 3]
     unknowns = spheres * len(columns) + 1
-    known = len(samples.force)
-    known += (1 if planar else 2) * np.count_nonzero(samples.loaded)
-    if known < unknowns:
-        raise InputError(
-            f"{len(samples.force)} samples do not tell {unknowns} unknowns of "
-            f"{spheres} spheres; take fewer spheres or a longer step"
-        )
     if planar:
         samples = _in_plane(samples)
+    first = _that_differ(samples)
+    known = len(first)
+    known += (1 if planar else 2) * np.count_nonzero(samples.loaded[first])
+    if known < unknowns:
+        raise InputError(
+            f"samples ({len(first)} that differ) do not tell {unknowns} "
+            f"unknowns of {spheres} spheres; take fewer spheres or a longer "
+            "step"
+        )
     largest, loaded = samples.force.max(), samples.loaded
     scale = np.array([1.0, *(0.1 * samples.size[:2]), 1e-3])
 
@@ -427,6 +432,21 @@ def _deviations(best) -> np.ndarray:
     spare = max(len(best.fun) - len(best.x), 1)
     variance = ways**2 @ (1 / np.maximum(told, 1e-15 * told.max()))
     return np.sqrt(variance * 2 * best.cost / spare)
+
+
+def _that_differ(samples: Samples) -> np.ndarray:
+    """Numbers of samples by a micrometre or a millionth apart, (K,).
+
+    A load that stays is one, however often.
+    """
+    count = len(samples.force)
+    told = np.column_stack(
+        [
+            samples.origin, samples.rotation.reshape(count, 9),
+            samples.force / samples.force.max(), samples.cop,
+        ]
+    )  # fmt: skip
+    return np.unique(told.round(6), axis=0, return_index=True)[1]
 
 
 def _in_plane(samples: Samples) -> Samples:

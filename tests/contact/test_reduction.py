@@ -25,6 +25,7 @@ from drake_exo.model.assembly import Assembly, Person
 from drake_exo.model.description import nominal_human
 from drake_exo.model.plant import Model
 from drake_exo.soles.case import EXAMPLE, Case
+from drake_exo.soles.loads import Load
 from drake_exo.soles.results import sole_samples
 
 SIZE = np.array([0.26, 0.1, 0.03])
@@ -117,6 +118,11 @@ def test_too_few_samples_are_refused():
     )  # fmt: skip
     with pytest.raises(InputError, match="fewer spheres"):
         fit(few, 3, False)
+    # Nor does one tell more by being there nine times: a load that stays.
+    same = {name: np.repeat(x[:1], 9, axis=0) for name, x in vars(whole).items()
+            if name in ("origin", "rotation", "force", "cop")}  # fmt: skip
+    with pytest.raises(InputError, match=r"samples \(1 that differ\)"):
+        fit(replace(whole, **same), 2, False)
     with pytest.raises(InputError, match="take 2 or more"):
         fit(few, 0, False)
     for other in ("results", whole):  # a folder or a step, not what it says
@@ -130,9 +136,11 @@ def test_too_few_samples_are_refused():
 
 @pytest.mark.slow
 def test_the_command_writes_law_and_samples(tmp_path, capsys):
-    text = EXAMPLE.replace("samples: 5", "samples: 9")
-    text += "contact: {friction: 0.35}\n"
-    step = Case.from_text(text).simulate()
+    case = Case.from_text(EXAMPLE + "contact: {friction: 0.35}\n")
+    zmp = np.linspace([-0.04, 0.0], [0.04, 0.0], 9)
+    force = np.tile([0.0, 0.0, 300.0], (9, 1))
+    load = Load(0.1 * np.arange(9), force, zmp)
+    step = replace(case, load=load).simulate()
     step.write(tmp_path)
     out = tmp_path / "law.yaml"
     argv = ["sole", "reduce", str(tmp_path), "--spheres", "2", "--planar",
