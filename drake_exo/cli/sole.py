@@ -183,7 +183,8 @@ def _out_of(args, case: soles.Case) -> OutputFolder:
     """The folder --out, in which nothing of the case may lie."""
     root = args.data_root or args.case.parent
     named = (root / file for file in case.settings.files)
-    reads = [args.case, args.mesh, *named]
+    resumed = getattr(args, "resume", None)
+    reads = [args.case, args.mesh, resumed, *named]
     return prepare_output_folder(args.out, args.force, reads=reads)
 
 

@@ -143,13 +143,14 @@ def prepare_output_folder(
 
     Raises:
         InputError: it already holds files and `force` is not set, one of
-            `reads` lies in it, it cannot be created, or another run is
-            writing there.
+            `reads` lies in it or where new results grow, somebody's file
+            does, it cannot be created, or another run is writing there.
     """
     target = Path(path)
-    whole = Path(os.path.realpath(target))  # of a link to itself, too
+    replaced = [target, _beside(target)] if force else [target]
     for source in filter(None, reads):
-        if Path(os.path.realpath(source)).is_relative_to(whole):
+        whole = Path(os.path.realpath(source))  # of a link to itself, too
+        if any(whole.is_relative_to(os.path.realpath(p)) for p in replaced):
             raise InputError(
                 f"{target}: --out would replace {source}, which is read; "
                 "choose another folder for --out"
@@ -182,6 +183,11 @@ def _place(target: Path, force: bool, resume: bool) -> Path:
             "--out, or replace them with --force"
         )
     partial = _beside(target)
+    if occupied and force and (others := _files(partial) - _own(partial)):
+        raise InputError(
+            f"{partial / min(others)}: no run wrote this, and new results grow "
+            "there before they replace the old ones; move it"
+        )
     if occupied and not resume:
         shutil.rmtree(partial, ignore_errors=True)
     place = target
@@ -195,9 +201,9 @@ def _place(target: Path, force: bool, resume: bool) -> Path:
 
 def _beside(target: Path) -> Path:
     """Where new results grow; "." has no name, its whole path has."""
-    plain = target.name not in ("", "..")
-    named = target if plain else target.resolve()
-    return named.with_name(target.resolve().name + _PARTIAL)
+    whole = Path(os.path.realpath(target))
+    named = target if target.name not in ("", "..") else whole
+    return named.with_name(whole.name + _PARTIAL)
 
 
 def summaries(folder: Path) -> list[Path]:

@@ -273,6 +273,34 @@ def test_somebodys_file_of_a_results_name_is_not_replaced(tmp_path):
     assert (tmp_path / "data.partial" / "steps.csv").read_text() == "theirs"
 
 
+@pytest.mark.parametrize("resume", [False, True])
+def test_force_removes_nobodys_folder_of_the_name_new_results_grow_in(
+    tmp_path, resume
+):
+    target, beside = tmp_path / "out", tmp_path / "out.partial"
+    with prepare_output_folder(target) as folder:
+        (folder / "one.txt").write_text("old")
+    beside.mkdir()
+    (beside / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"notes\.txt: no run wrote this"):
+        prepare_output_folder(target, force=True, resume=resume)
+    assert (beside / "notes.txt").read_text() == "mine"
+    assert (target / "one.txt").read_text() == "old"
+
+
+def test_force_leaves_what_a_stopped_run_left_where_that_is_read(tmp_path):
+    target, left = tmp_path / "out", tmp_path / "out.partial"
+    with prepare_output_folder(target) as folder:
+        (folder / "one.txt").write_text("old")
+    stopped = prepare_output_folder(target, force=True)
+    with stopped as folder:
+        (folder / "checkpoint.npz").write_text("so far")
+        stopped.end(1)
+    with pytest.raises(InputError, match=r"would replace .*out\.partial"):
+        prepare_output_folder(target, force=True, reads=[left])
+    assert (left / "checkpoint.npz").read_text() == "so far"
+
+
 def test_resuming_does_not_make_others_files_its_own(tmp_path):
     """As a study beside its results: a later --force leaves it."""
     target = tmp_path / "out"
