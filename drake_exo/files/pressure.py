@@ -93,7 +93,8 @@ def read_novel_asc(path: str | Path) -> PressureRecording:
             f"{path}: announces {total:g} s at {rate:g} Hz, but holds "
             f"{len(values)} frames; the file is truncated"
         )
-    return _recording(path, values, scale, _groups(path, head, count - 1))
+    groups = _groups(path, head, lines[start].split()[1:])
+    return _recording(path, values, scale, groups)
 
 
 def read_pressure_csv(
@@ -206,20 +207,26 @@ def _table(path, lines, start: int, width: int, separator) -> np.ndarray:
     return number_rows(path, rows, width)
 
 
-def _groups(path, head: str, cells: int) -> dict[str, np.ndarray]:
+def _groups(path, head: str, cells: list[str]) -> dict[str, np.ndarray]:
     """Columns of each mat of the mask definition, in its order."""
-    groups, at = {}, 0
+    groups, at, told = {}, 0, []
     masks = re.findall(r"^(.+?):\s*((?:\d+,\s*)*\d+),?\s*$", head, re.MULTILINE)
     for name, numbers in masks:
-        count = len([n for n in numbers.split(",") if n.strip()])
-        if count > 1:
-            groups[name.strip()] = np.arange(at, at + count)
-            at += count
+        own = [n.strip() for n in numbers.split(",")]
+        if len(own) > 1:
+            groups[name.strip()] = np.arange(at, at + len(own))
+            at += len(own)
+            told += own
     if not groups:
-        return {"mat": np.arange(cells)}
-    if at != cells:
+        return {"mat": np.arange(len(cells))}
+    if at != len(cells):
         raise InputError(
             f"{path}: the mask definition names {at} cells, but the table "
-            f"has {cells}; export it again"
+            f"has {len(cells)}; export it again"
+        )
+    if told != cells and sorted(told) == sorted(cells):
+        raise InputError(
+            f"{path}: the table's columns are in another order than the "
+            "cells of the mask definition; export it again"
         )
     return groups

@@ -50,7 +50,13 @@ class OneFoot:
     def load(self, root: Path) -> Load:
         """Read it."""
         path = root / self.file
-        table = numbers_of(path, text_lines(path)[1:], 2, 8)
+        head, *lines = text_lines(path) or [""]
+        if head.strip() and not head.strip("0123456789.+-eE \t"):
+            raise InputError(
+                f"{path}:1: holds numbers where the columns are named; put a "
+                "line of names before them"
+            )
+        table = numbers_of(path, lines, 2, 8)
         table = table[self.skip_first : len(table) - self.skip_last]
         t, zmp, force = table[:, 0], table[:, 1:3], table[:, 5:8]
         return Load(t, force, zmp, str(path)).placed(self.origin_m, 0.0)

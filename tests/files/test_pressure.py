@@ -75,6 +75,10 @@ def test_without_masks_all_cells_are_one_mat(tmp_path):
     [
         (asc(unit="mmHg"), "no unit of pressure"),
         (asc(left="1,2,3,"), "names 6 cells, but the table has 5"),
+        (
+            asc().replace("  1\t  2\t  1\t  2\t", "  2\t  1\t  1\t  2\t"),
+            "another order than the cells of the mask",
+        ),
         (asc(total=5.0), "announces 5 s at 50 Hz, but holds 25 frames"),
         (
             asc(total=0.25).replace("rate [Hz]:   50", "rate [Hz]:   100"),

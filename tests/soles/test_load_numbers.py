@@ -245,6 +245,9 @@ def test_the_authors_file_of_one_foot(tmp_path):
     _written(tmp_path / "foot.txt", ["# head"], table)
     with pytest.raises(InputError, match=r"foot\.txt:6: .*1 such rows"):
         OneFoot("foot.txt", (0.3, 0.4), 2, 3).load(tmp_path)
+    _written(tmp_path / "foot.txt", [], table)
+    with pytest.raises(InputError, match=r"foot\.txt:1: holds numbers where"):
+        OneFoot("foot.txt", (0.3, 0.4), 2, 3).load(tmp_path)
 
 
 def test_a_table_of_several_loads(tmp_path, load):
