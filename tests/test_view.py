@@ -53,6 +53,14 @@ def test_page_is_not_replaced_unasked(folder, tmp_path, capsys):
     assert path.read_text() != "mine"
 
 
+def test_force_makes_no_page_of_another_file(folder, capsys):
+    path = folder / "summary.json"
+    before = path.read_bytes()
+    said = refused(capsys, folder, "--out", path, "--force")
+    assert "give a .html file" in said
+    assert path.read_bytes() == before
+
+
 @pytest.mark.parametrize(
     ("results", "words"),
     [("nowhere", "is no folder"), ("empty", "holds no results")],

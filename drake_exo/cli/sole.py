@@ -322,7 +322,7 @@ def _strain(args) -> int:
 def _reduce(args) -> int:
     """Fit, print and write; 1 where the goals for the fit are missed."""
     # SciPy's optimiser takes a moment to load.
-    from drake_exo.contact.reduction import reduce_sole
+    from drake_exo.contact.reduction import SoleLaw, reduce_sole
 
     if args.out.is_dir() or args.out.suffix not in (".yaml", ".yml"):
         raise InputError(f"{args.out}: give a .yaml file for --out")
@@ -334,6 +334,13 @@ def _reduce(args) -> int:
         raise InputError(
             f"{rows}: is no earlier law's table; give another name for --out"
         )
+    if args.out.exists():
+        try:
+            SoleLaw.read(args.out)
+        except InputError as error:  # a case, say
+            raise InputError(
+                f"{args.out}: is no earlier law; give another name for --out"
+            ) from error
     samples = soles.sole_samples(args.source)
     found = reduce_sole(samples, args.spheres, args.planar)
     found.write(args.out)

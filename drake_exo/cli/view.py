@@ -45,7 +45,8 @@ def run(args: argparse.Namespace) -> int:
     """Write the page, then say where it is or serve it.
 
     Raises:
-        InputError: there is nothing to replay in DIR, or FILE.html exists.
+        InputError: there is nothing to replay in DIR, or FILE.html exists
+            or is none.
     """
     if args.out is not None:
         _check_target(args.out, args.force)
@@ -108,8 +109,9 @@ def _holds_soles(results: Path) -> bool:
 
 
 def _check_target(path: Path, force: bool) -> None:
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; give a file for --out")
+    if path.is_dir() or path.suffix.lower() != ".html":
+        what = "a folder" if path.is_dir() else "no page"
+        raise InputError(f"{path}: is {what}; give a .html file for --out")
     if path.exists() and not force:
         raise InputError(
             f"{path}: exists; choose another file for --out, or replace it "

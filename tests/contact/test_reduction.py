@@ -168,6 +168,15 @@ def test_the_command_writes_law_and_samples(tmp_path, capsys):
     )
 
 
+def test_force_replaces_no_file_but_a_law(tmp_path, capsys):
+    case = tmp_path / "case.yaml"
+    case.write_text(EXAMPLE)
+    argv = ["sole", "reduce", str(tmp_path), "--out", str(case), "--force"]
+    assert cli.main(argv) == 2
+    assert "is no earlier law" in capsys.readouterr().err
+    assert case.read_text() == EXAMPLE
+
+
 def _law(**changes):
     spheres = {
         f"s{k}": SoleSphere(float(e), x_m=x, y_m=y, z_m=z, radius_m=RADIUS)
