@@ -143,7 +143,14 @@ def plates_of(table: Table) -> dict[int, PlateRecording]:
             kind = match["kind"] or "m"
             if match["what"] != "force":
                 kind = "m"
-            columns.setdefault(label, {})[kind + match["axis"]] = name
+            first = columns.setdefault(label, {}).setdefault(
+                kind + match["axis"], name
+            )
+            if first != name:
+                raise InputError(
+                    f"{table.source}: columns {first!r} and {name!r} are the "
+                    "same of one force plate; rename or remove one"
+                )
     if not columns:
         raise InputError(
             f"{table.source}: has no force plate; name columns like "

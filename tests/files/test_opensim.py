@@ -231,6 +231,14 @@ def test_missing_plate_component_is_named():
         plates_of(table(names))
 
 
+@pytest.mark.parametrize("other", ["1_ground_force_vx", "ground_moment_1_mx"])
+def test_two_columns_of_one_component_are_refused(other):
+    names = [f"ground_force_1_{k}{a}" for k in "vp" for a in "xyz"]
+    names += [f"ground_torque_1_{a}" for a in "xyz"]
+    with pytest.raises(InputError, match=f"and '{other}' are the same of one"):
+        plates_of(table([*names, other]))
+
+
 def test_table_without_plates_is_refused():
     with pytest.raises(InputError, match="has no force plate"):
         plates_of(table(["knee"]))
