@@ -127,6 +127,7 @@ class ForcePlate:
 class Playback:
     """One stance of an HRP-4 playback file (37 columns, no times).
 
+    The first column is 0 in double support, 1 and 2 on the left and right foot.
     The force is m (a + g); in double support it is shared by the ZMP's
     progress between its places at both ends (`share_double_support`).
 
@@ -151,7 +152,13 @@ class Playback:
         """Read it."""
         path = root / self.file
         table = numbers_of(path, text_lines(path), 1, 37)
-        phase = np.round(table[:, 0]).astype(int)
+        phase = table[:, 0].astype(int)
+        other = table[:, 0][~np.isin(table[:, 0], (0, 1, 2))]
+        if len(other):
+            raise InputError(
+                f"{path}: column 1 holds the phase {other[0]:g}; write 0 where "
+                "both feet bear, 1 where the left one does, 2 the right one"
+            )
         mine = {"left": 1, "right": 2}[self.foot]
         runs = stances(phase, mine)
         if not 0 <= self.step < len(runs):

@@ -371,6 +371,10 @@ def test_a_stance_of_a_playback(tmp_path, foot, side):
         Playback("walk.txt", foot, 1).load(tmp_path)
     with pytest.raises(InputError, match="never carries 20 N; check mass_kg"):
         Playback("walk.txt", foot, 0, mass_kg=1.0).load(tmp_path)
+    table[:, 0] = np.where(PHASE == 0, 3, PHASE)
+    _written(tmp_path / "walk.txt", [], table)
+    with pytest.raises(InputError, match=r"walk\.txt: .* the phase 3; write 0"):
+        Playback("walk.txt", foot, 0).load(tmp_path)
 
 
 def test_a_constant_load_is_5_ms_apart():
