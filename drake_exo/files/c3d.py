@@ -48,6 +48,7 @@ _FORCES = {"n": 1.0, "kn": 1e3, "mn": 1e-3}
 _MOMENTS = {"nm": 1.0, "ncm": 1e-2, "nmm": 1e-3}
 _CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}  # of a plate, by its type
 _MOST_PLATES = 64
+_SIDES = 0.05, 20.0  # of a plate, at least and at most [m]
 _FARTHEST = 1e9  # of a marker, in any unit
 _LARGEST = 1e30  # of a signal, in any unit
 
@@ -435,6 +436,13 @@ class _Plate:
             raise self._error(
                 "has no corners (they span no area); complete "
                 "FORCE_PLATFORM:CORNERS"
+            )
+        a, b = (self._length * np.linalg.norm(side) for side in sides)
+        if min(a, b) < _SIDES[0] or max(a, b) > _SIDES[1]:
+            raise self._error(
+                f"is {a:.3g} by {b:.3g} m by its corners: "
+                "FORCE_PLATFORM:CORNERS are in another unit than POINT:UNITS; "
+                "correct the wrong one"
             )
         return corners
 

@@ -230,6 +230,10 @@ def no_corners(parameters):
     parameters["FORCE_PLATFORM"]["CORNERS"]["value"] *= 0.0
 
 
+def corners_in_metres(parameters):
+    parameters["FORCE_PLATFORM"]["CORNERS"]["value"] *= 1e-3
+
+
 def no_calibration(parameters):
     del parameters["FORCE_PLATFORM"]["CAL_MATRIX"]
 
@@ -255,6 +259,7 @@ def lost_channel(parameters):
     ("kind", "change", "words"),
     [
         (2, no_corners, "force plate 1 has no corners"),
+        (2, corners_in_metres, "CORNERS are in another unit than POINT:UNITS"),
         (4, no_calibration, "has no calibration matrix"),
         (2, no_units, "unit of POINT:UNITS is 'parsec'"),
         (2, strange_force_unit, "channels of force plate 1 is 'lbf'"),
