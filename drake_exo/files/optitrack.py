@@ -48,20 +48,25 @@ def read_markers_csv(path: str | Path) -> MarkerData:
     start = _find(path, rows, "Frame")
     kinds, names = _label_rows(path, rows[:start])
     axes = rows[start][2:]
-    columns: dict[str, list[int]] = {}
+    columns: dict[str, list[tuple[str, int]]] = {}
     for i, (kind, name, axis) in enumerate(
         zip(kinds, names, axes, strict=False)
     ):
         if kind == "Marker" and axis.strip() in ("X", "Y", "Z"):
-            columns.setdefault(name.strip(), []).append(i + 2)
-    if not columns or any(len(c) != 3 for c in columns.values()):
+            columns.setdefault(name.strip(), []).append((axis.strip(), i + 2))
+    ordered = [sorted(found) for found in columns.values()]
+    if not columns or any(
+        "".join(axis for axis, _ in found) != "XYZ" for found in ordered
+    ):
         raise InputError(
             f"{path}: has no markers with X, Y and Z; export markers' "
             "positions, each with a name of its own"
         )
     values = number_rows(path, numbered[start + 1 :], len(rows[start]))
     check_increasing(str(path), values[:, 1])
-    positions = np.stack([values[:, c] for c in columns.values()], axis=1)
+    positions = np.stack(
+        [values[:, [i for _, i in found]] for found in ordered], axis=1
+    )
     check_count(path, head.get(_TOTAL), len(values), _TOTAL, "frames")
     return MarkerData(
         time=values[:, 1],
@@ -136,7 +141,9 @@ def read_plate_csv(
 def _rows(path) -> list[tuple[int, list[str]]]:
     """Number and cells of each line that is not blank."""
     reader = csv.reader(read_text(path).splitlines())
-    found = [(reader.line_num, row) for row in reader if any(row)]
+    found = [
+        (reader.line_num, row) for row in reader if any(map(str.strip, row))
+    ]
     if not found:
         raise InputError(f"{path}: is empty; export it again")
     return found

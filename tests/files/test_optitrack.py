@@ -56,6 +56,13 @@ def test_markers(tmp_path):
         found.of(["A:TOE"])
 
 
+def test_axes_of_a_marker_are_told_by_their_names(tmp_path):
+    text = markers() + "  \n"  # a blank line, as editors leave one
+    turned = text.replace("X,Y,Z,X,Y,Z,X,Y,Z", "X,Z,Y,X,Y,Z,Z,X,Y")
+    found = read_markers_csv(write(tmp_path, turned)).positions[2]
+    np.testing.assert_allclose(found, [[2.1, 0.1, 0.05], [0.02, 0.1, 2.3]])
+
+
 def test_marker_units(tmp_path):
     found = read_markers_csv(write(tmp_path, markers(unit="Millimeters")))
     np.testing.assert_allclose(found.positions[2, 0], [2.1e-3, 5e-5, 1e-4])
@@ -99,6 +106,7 @@ def test_plate_acts_on_the_body(tmp_path):
             "not increase",
         ),
         (read_markers_csv, markers().replace("Marker,", "Bone,"), "no markers"),
+        (read_markers_csv, markers().replace("X,Y,Z,X", "X,Y,Y,X"), "X, Y and"),
         (read_plate_csv, plate().replace("PosX_PosY_X", "P"), "no corners"),
         (
             read_plate_csv,
