@@ -163,15 +163,16 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
 
     a, b, c = moments = [value(key) for key in _MOMENTS]
     mass = link.find("inertial/mass")
-    if mass is not None:
-        text = (mass.get("value") or mass.text or "").strip()
-        kg = number("mass", text or "0")
-        if kg < 0.0 or (kg == 0.0 and any(moments)):  # as above
-            turns = "moments of inertia but " if any(moments) else ""
-            raise InputError(
-                f"{where}: has {turns}a mass of {text or 'nothing'}; give one "
-                "above zero"
-            )
+    if mass is None:
+        mass = ET.Element("mass")
+    text = (mass.get("value") or mass.text or "").strip()
+    kg = number("mass", text or "0")
+    if kg < 0.0 or (kg == 0.0 and any(moments)):  # as above
+        turns = "moments of inertia but " if any(moments) else ""
+        raise InputError(
+            f"{where}: has {turns}a mass of {text or 'nothing'}; give one "
+            "above zero"
+        )
     xy, xz, yz = (value(key) for key in _PRODUCTS)
 
     def is_bodys(x, y, z) -> bool:

@@ -903,6 +903,10 @@ def test_a_joint_that_follows_another_is_refused():
             ],
             "link 'calf': has a mass of -2.4; give one above zero",
         ),
+        (
+            [('<mass value="2.4"/>', "")],  # Drake would take 1 kg
+            "link 'calf': has moments of inertia but a mass of nothing",
+        ),
         ([('type="revolute"', 'type="planar"')], "joint 'motor' is planar"),
         ([('"calf"', '"calf_shell"')], "rename the cuff"),
     ],
