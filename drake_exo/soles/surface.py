@@ -561,14 +561,16 @@ def _onto(nodes, cells, corners, top, flat):
         aim[rim, :2] = _nearest(sides, nodes[rim])[0][:, :2]
         aim[up, 2] = height
         free = ~np.isin(skin, up)
-    _onto_edges(aim, skin, np.where(free, on, -1), corners, size, mesh)
+    edge = aim.copy()
+    _onto_edges(edge, skin, np.where(free, on, -1), corners, size, mesh)
     # Each node goes as far as the elements around it allow, and again where
-    # those beside it have moved.
+    # those beside it have moved: onto the surface before along it to an edge,
+    # for what stops short of that to lie on the surface.
     floor = np.minimum(0.9 * mesh.quality(), _LEAST_QUALITY)
-    for _ in range(2):
+    for goal in (aim, aim, edge, edge):
         part = np.ones((len(nodes), 1))
         for _ in range(_SHORTER):
-            new = nodes + part * (aim - nodes)
+            new = nodes + part * (goal - nodes)
             worn = TetMesh(new, cells, mesh.fixed).quality() < floor
             if not worn.any():
                 nodes = new
