@@ -363,7 +363,8 @@ def test_samples_after_a_failure_are_left_out(monkeypatch):
     load = Load(np.arange(5.0), np.tile([0, 0, 1.0], (5, 1)), np.zeros((5, 2)))
     lost = Convergence(False, 3, 1.0, "lost")
     monkeypatch.setattr(simulation, "first_step", lambda *_: (None, lost))
-    solver = SimpleNamespace(lP=np.zeros((2, 3)), ground=FLAT)
+    law = SimpleNamespace(friction=0.8)
+    solver = SimpleNamespace(lP=np.zeros((2, 3)), ground=FLAT, law=law)
     said = []
 
     def told(done, count):
@@ -389,6 +390,7 @@ def test_what_takes_far_longer_than_a_neighbour_fails(monkeypatch):
     )  # fmt: skip
     solver = SimpleNamespace(
         lP=np.zeros((2, 3)), ground=FLAT, deformed=lambda F, R: F,
+        law=SimpleNamespace(friction=0.8),
         linearise=lambda *_: SimpleNamespace(cartesian_stiffness=np.eye(6)),
     )  # fmt: skip
     given, steps = [], []
