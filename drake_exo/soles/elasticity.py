@@ -650,34 +650,41 @@ def _add_gradients(
                     by_G[a, f, i] *= 2 / V
             _by_places(
                 elements, tets, g, volumes, number, slot,
-                by_G[:, f], -energy / V**2, out[f],
+                by_G, f, -energy / V**2, out,
             )  # fmt: skip
         for a in range(count):
             slot[nodes[a]] = -1
 
 
 @njit()
-def _by_places(elements, tets, g, volumes, number, slot, by_G, by_volume, out):
-    """Subtract a group's derivative by the nodes from out (n, 3).
+def _by_places(
+    elements, tets, g, volumes, number, slot, by_G, f, by_volume, out
+):
+    """Subtract a group's derivative f by the nodes from out (f, n, 3).
 
     ∂v = v g_c·dX_c and ∂g_a = −g_c (g_a·dX_c), added up in G and V.
     """
+    rows = np.empty(4, np.int64)
     for e in elements:
-        size = by_volume
+        size, v = by_volume, volumes[e]
         for a in range(4):
             node = number[tets[e, a]]
+            rows[a] = slot[node] if node >= 0 else -1
             if node >= 0:
                 for i in range(3):
-                    size += by_G[slot[node], i] * g[e, a, i]
+                    size += by_G[rows[a], f, i] * g[e, a, i]
         for c in range(4):
-            for i in range(3):
-                out[tets[e, c], i] -= volumes[e] * size * g[e, c, i]
+            to = tets[e, c]
+            x = out[f, to, 0] - v * size * g[e, c, 0]
+            y = out[f, to, 1] - v * size * g[e, c, 1]
+            z = out[f, to, 2] - v * size * g[e, c, 2]
             for a in range(4):
-                node = number[tets[e, a]]
-                if node < 0:
+                if rows[a] < 0:
                     continue
                 along = 0.0
                 for i in range(3):
-                    along += by_G[slot[node], i] * g[e, c, i]
-                for i in range(3):
-                    out[tets[e, c], i] += volumes[e] * along * g[e, a, i]
+                    along += by_G[rows[a], f, i] * g[e, c, i]
+                x += v * along * g[e, a, 0]
+                y += v * along * g[e, a, 1]
+                z += v * along * g[e, a, 2]
+            out[f, to, 0], out[f, to, 1], out[f, to, 2] = x, y, z
