@@ -350,7 +350,7 @@ def _law_matrix(S, loose, tau, axes, R, r, mu, epsilon, kappa):
     D = np.empty((g, 3, 3))
     M = np.empty((3 * g, 3 * g)).T  # columns lie together, as LAPACK's do
     T, plain, half = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    turn = np.empty((3, 3))
+    turn, x = np.empty((3, 3)), np.empty(3)
     for a in range(g):
         project_node(tau[loose[a]], mu, epsilon, kappa, T, plain)
         multiply(axes[loose[a]], R, turn)
@@ -361,13 +361,14 @@ def _law_matrix(S, loose, tau, axes, R, r, mu, epsilon, kappa):
             column = 3 * loose[b] + j
             for a in range(g):
                 # S is symmetric: its rows lie together in memory.
-                x = S[column, 3 * loose[a] : 3 * loose[a] + 3]
                 for i in range(3):
-                    d = D[a, i]
-                    turned = d[0] * x[0] + d[1] * x[1] + d[2] * x[2]
+                    x[i] = S[column, 3 * loose[a] + i]
+                for i in range(3):
+                    turned = D[a, i, 0] * x[0] + D[a, i, 1] * x[1]
+                    turned += D[a, i, 2] * x[2]
                     M[3 * a + i, 3 * b + j] = x[i] - turned
                     if a == b:
-                        M[3 * a + i, 3 * b + j] += r * d[j]
+                        M[3 * a + i, 3 * b + j] += r * D[a, i, j]
     return D, M
 
 

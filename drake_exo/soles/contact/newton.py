@@ -51,7 +51,8 @@ def deformed(C, lP, R, F):
     Y = np.empty((m, 3))
     for i in range(m):
         # Added last: rest positions are large against displacements.
-        x, y, z = lP[i] + u[3 * i : 3 * i + 3]
+        x, y = lP[i, 0] + u[3 * i], lP[i, 1] + u[3 * i + 1]
+        z = lP[i, 2] + u[3 * i + 2]
         for k in range(3):
             Y[i, k] = R[k, 0] * x + R[k, 1] * y + R[k, 2] * z
     return Y
