@@ -36,6 +36,7 @@ from drake_exo.calibration.wearers import (
     assisted,
     check_wearers,
     drawn,
+    drives_answer,
     passive_torques,
     posture_law,
     sized,
@@ -310,17 +311,18 @@ def movements(
     found = []
     progress = Progress("own movements", len(trials))
     for k, trial in enumerate(trials):
-        answers = springs_answer(trial, contact, study.device)
-        if today is not None:
+        if today is None:
+            answers = springs_answer(trial, contact, study.device)
+        else:
             who, own = today
-            answers[trial.name] = answer(trial, who, own[k].trial, design)
+            answers = answer(trial, who, own[k].trial, design)
         result = solved(
             OwnMovement(
                 design.model(study.model),
                 [_assisted(study, trial, contact, design)],
                 built,
                 phase,
-                answers=answers,
+                answers=answers and {trial.name: answers},
             ),
             f"trial {trial.name}: the movement does not fit these cuffs",
         )
@@ -348,8 +350,8 @@ def on_design(
     """Study and contact with a design: trials for prediction alone.
 
     The device's torques are those of the design's forecast: as designed, and
-    as drives answer where the device goes on other cuffs. Where torques are not
-    known, cuffs change alone.
+    as drives answer where the device goes on other cuffs; what springs answer
+    is the prediction's. Where torques are not known, cuffs change alone.
 
     Raises:
         InputError: the design is of another device, or a movement cannot be
@@ -365,7 +367,7 @@ def on_design(
         worn = [
             with_more(
                 own,
-                answer(trial, who, today.trial, design).given(
+                drives_answer(trial, who, today.trial, design).given(
                     there.trial, trial.times
                 ),
             )

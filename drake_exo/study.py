@@ -60,6 +60,7 @@ from drake_exo.calibration.uncertainty import (
     posterior,
     uncertainty,
 )
+from drake_exo.calibration.wearers import springs_answer
 from drake_exo.contact.parameters import (
     ContactModel,
     ContactParameter,
@@ -1026,7 +1027,8 @@ def predict(
         scale_interaction: of the cuffs' stiffness and damping; 1.4 is Phase
             C2.
         controller: a stateless LeafSystem that gives the exoskeleton's
-            torques; without it they are as measured.
+            torques; without it they are as measured, but that springs across
+            its joints (`device` of the study) go with the movement.
         folder, resume: as `calibrate_foot_ground`.
         near: of the same trial with another contact, to start from; by default
             the start is that of the settings.
@@ -1072,6 +1074,8 @@ def predict(
         settings, PredictionSettings, "settings", study.prediction
     )
     kind = PeriodicStep if settings.ends == "periodic" else PredictionProblem
+    springs = springs_answer(trial, scaled, study.device)
+    answers = {} if springs is None else {trial.name: springs}
 
     def pose(refined):
         return kind(
@@ -1080,6 +1084,7 @@ def predict(
             scaled,
             settings,
             controller=controller,
+            answers=answers,
             refined=refined,
         )
 

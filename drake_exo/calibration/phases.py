@@ -14,6 +14,7 @@ from pydrake.systems.framework import System
 
 from drake_exo.calibration.audit import rmsd
 from drake_exo.calibration.problem import (
+    Answer,
     Parts,
     PhaseProblem,
     PhaseResult,
@@ -304,6 +305,8 @@ class PredictionProblem(PhaseProblem):
         settings: objective, noise, grid.
         controller: gives the exoskeleton's torques; None where they are
             measured (tracked) or free.
+        answers: trial -> what springs give more where the device goes another
+            way than it did; those that are not named have none.
         refined: finer intervals, see `PhaseProblem`.
 
     >>> from drake_exo.virtual_laboratory import synthetic
@@ -341,6 +344,7 @@ class PredictionProblem(PhaseProblem):
         settings: PredictionSettings | None = None,
         *,
         controller: System | None = None,
+        answers: Mapping[str, Answer] | None = None,
         refined: Mapping[str, Parts] | None = None,
     ):
         usual = PredictionSettings(ends=self.ends)
@@ -351,6 +355,7 @@ class PredictionProblem(PhaseProblem):
         if settings.ends != self.ends:
             raise ValueError(f"the settings ask for {settings.ends} ends")
         check_knows_cuffs(contact, model)
+        self._answers = answers or {}
         self._controller = (
             None
             if controller is None
@@ -381,7 +386,12 @@ class PredictionProblem(PhaseProblem):
         return [
             *ground_terms(movement, at, noise),
             *torque_terms(
-                movement, at, noise, effects, device=self._controller is None
+                movement,
+                at,
+                noise,
+                effects,
+                device=self._controller is None,
+                answer=self._answers.get(movement.name),
             ),
             *toes,
         ]

@@ -1037,6 +1037,41 @@ def _mean(values: np.ndarray, times: np.ndarray, used=slice(None)) -> float:
     return float(np.average(values[used], weights=lengths[used]))
 
 
+@dataclass(frozen=True)
+class Answer:
+    """How drives and springs answer where a device goes another way.
+
+    Attributes:
+        times: (n,) from its start [s].
+        slope: (n, m, m) of each joint's torque by the device's angles
+            [N m/rad].
+        there: (n, m) that times the angles at which torques are as measured
+            [N m].
+    """
+
+    times: np.ndarray
+    slope: np.ndarray
+    there: np.ndarray
+
+    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Slope, and what is taken off, at other times (k,)."""
+        return tuple(
+            CubicSpline(self.times, x)(times) for x in (self.slope, self.there)
+        )
+
+    def given(self, trial: Trial, times: np.ndarray) -> np.ndarray:
+        """What they give more (k, m) where a device goes as in a trial [N m].
+
+        Args:
+            trial: solved.
+            times: (k,) [s].
+        """
+        slope, there = self.at(times)
+        q = CubicSpline(trial.times, trial.q)(times)
+        angles = q[:, trial.coordinates.device_columns]
+        return np.einsum("nij,nj->ni", slope, angles) - there
+
+
 def torque_terms(
     movement: TrialProgram,
     at: Trial,
@@ -1044,13 +1079,15 @@ def torque_terms(
     effects: Effects | None = None,
     *,
     device: bool = True,
+    answer: Answer | None = None,
 ) -> list[Tracking]:
     """Joint moments tracked where known, minimised otherwise.
 
     Of two legs, moments of one are known the better the less its foot bears:
     where the ground's force acts is what they are mostly wrong by. How foot
     and toes share a plate's force is not known: toes are not tracked. Nor is
-    the device, unless `device`: a controller gives other moments.
+    the device, unless `device`: a controller gives other moments. They are as
+    measured, and what `answer` gives more where the device goes another way.
     """
     if at.moments is None:
         return [minimised(movement.torque, noise.torque_nm)]
@@ -1073,7 +1110,27 @@ def torque_terms(
         sigma[:, own] *= np.maximum(share, _IN_SWING)[:, None]
     sigma[:, [name.startswith("toes") for name in names.joints]] = np.inf
     effects = effects and effects.moments
-    return [Tracking(movement.torque, at.moments, sigma, effects=effects)]
+    if answer is None:
+        return [Tracking(movement.torque, at.moments, sigma, effects=effects)]
+    own, rows = names.is_device_joint, np.eye(len(names.joints))
+    slope, off = answer.at(at.times)
+    by = np.zeros((*at.moments.shape, own.sum()))
+    by[:, own] = -slope
+    there = np.zeros(at.moments.shape)
+    there[:, own] = off
+    angles = movement.grid.q[:, names.device_columns]
+    return [
+        Tracking(
+            np.hstack([movement.torque, angles]),
+            at.moments - there,
+            sigma,
+            np.concatenate(
+                [np.broadcast_to(rows, by.shape[:2] + rows.shape[:1]), by],
+                axis=2,
+            ),
+            effects=effects,
+        )
+    ]
 
 
 def normal_force_terms(

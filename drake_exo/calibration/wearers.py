@@ -16,11 +16,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from drake_exo.calibration.error_model import NO_ERRORS, shared_moments
 from drake_exo.calibration.phases import check_has_cuffs
 from drake_exo.calibration.problem import (
+    Answer,
     PhaseProblem,
     ground_terms,
     kinematic_terms,
@@ -33,7 +33,6 @@ from drake_exo.calibration.settings import (
     PredictionSettings,
 )
 from drake_exo.collocation.kernels import BodyWrench
-from drake_exo.collocation.trial_program import Tracking
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import Design, links_above, movable
 from drake_exo.errors import InputError
@@ -108,68 +107,14 @@ class OwnMovement(PhaseProblem):
         return [
             *kinematic_terms(movement, at, noise, effects, encoders=self._seen),
             *ground_terms(movement, at, noise),
-            *self._torques(movement, at, effects),
+            *torque_terms(
+                movement,
+                at,
+                noise,
+                effects,
+                answer=self._answers.get(movement.name),
+            ),
         ]
-
-    def _torques(self, movement, at, effects):
-        terms = torque_terms(movement, at, self.settings.noise, effects)
-        answer = self._answers.get(movement.name)
-        if answer is None:
-            return terms
-        (known,) = terms
-        names = movement.coordinates
-        slope, off = answer.at(movement.grid.times)
-        own = names.is_device_joint
-        # Torques are as measured but for what they answer.
-        by = np.zeros((*known.target.shape, len(names.device)))
-        by[:, own] = -slope
-        there = np.zeros(known.target.shape)
-        there[:, own] = off
-        variables = [known.variables, movement.grid.q[:, names.device_columns]]
-        return [
-            Tracking(
-                np.hstack(variables),
-                known.target - there,
-                known.sigma,
-                np.concatenate([known.rows, by], axis=2),
-                effects=known.effects,
-            )
-        ]
-
-
-@dataclass(frozen=True)
-class Answer:
-    """How drives and springs answer where a device goes another way.
-
-    Attributes:
-        times: (n,) from its start [s].
-        slope: (n, m, m) of each joint's torque by the device's angles
-            [N m/rad].
-        there: (n, m) that times the angles at which torques are as measured
-            [N m].
-    """
-
-    times: np.ndarray
-    slope: np.ndarray
-    there: np.ndarray
-
-    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Slope, and what is taken off, at other times (k,)."""
-        return tuple(
-            CubicSpline(self.times, x)(times) for x in (self.slope, self.there)
-        )
-
-    def given(self, trial: Trial, times: np.ndarray) -> np.ndarray:
-        """What they give more (k, m) where a device goes as in a trial [N m].
-
-        Args:
-            trial: solved.
-            times: (k,) [s].
-        """
-        slope, there = self.at(times)
-        q = CubicSpline(trial.times, trial.q)(times)
-        angles = q[:, trial.coordinates.device_columns]
-        return np.einsum("nij,nj->ni", slope, angles) - there
 
 
 def posture_law(
@@ -405,6 +350,20 @@ def answer(trial: Trial, wearer: Wearer, own: Trial, design: Design) -> Answer:
             was measured; springs do where the device was measured.
         design: acts on them, see `assisted`.
     """
+    drives = drives_answer(trial, wearer, own, design)
+    at = trial.sample(own.times)
+    springs = springs_answer(at, wearer.contact, wearer.device)
+    if springs is None:
+        return drives
+    return Answer(
+        own.times, drives.slope + springs.slope, drives.there + springs.there
+    )
+
+
+def drives_answer(
+    trial: Trial, wearer: Wearer, own: Trial, design: Design
+) -> Answer:
+    """How drives answer on a design, see `answer`."""
     names = trial.coordinates
     at = trial.sample(own.times)
     angles = _device_angles(at, wearer.contact)
@@ -416,21 +375,22 @@ def answer(trial: Trial, wearer: Wearer, own: Trial, design: Design) -> Answer:
     slope = posture_slope(wearer.model, wearer.law, own.q)
     slope *= (given - none)[:, :, None]
     there = np.einsum("nij,nj->ni", slope, own.q[:, names.device_columns])
-    springs = wearer.springs
-    return Answer(own.times, slope - np.diag(springs), there - springs * angles)
+    return Answer(own.times, slope, there)
 
 
 def springs_answer(
     trial: Trial, contact: ContactModel, device: Device | None
-) -> dict[str, Answer]:
-    """How springs answer on the cuffs that a trial was measured on, if any."""
-    names = trial.coordinates
-    springs = spring_stiffness(device, names)
+) -> Answer | None:
+    """How springs answer where the device goes another way than in a trial.
+
+    None where there are none.
+    """
+    springs = spring_stiffness(device, trial.coordinates)
     if not springs.any():
-        return {}
+        return None
     slope = np.tile(np.diag(-springs), (len(trial.times), 1, 1))
     there = -springs * _device_angles(trial, contact)
-    return {trial.name: Answer(trial.times, slope, there)}
+    return Answer(trial.times, slope, there)
 
 
 def _without(trial: Trial, removed: Sequence[str]) -> Trial:

@@ -5,12 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import drake_exo as dx
 from drake_exo.calibration.audit import rms, rmsd
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.cli.predict import load_controller
 from drake_exo.contact.systems import AssistController
 from drake_exo.errors import InputError
+from drake_exo.measurement.settings import Device, JointDrive
 from drake_exo.nlp.ipopt import SealedSolutionError
+from drake_exo.virtual_laboratory.synthetic import rises_in_device
 
 pytestmark = pytest.mark.slow
 
@@ -168,3 +171,29 @@ def test_a_start_from_another_contact_ends_at_the_same_optimum(
     assert predicted.solution.objective != pytest.approx(
         cold.objective, rel=1e-3
     )
+
+
+def test_springs_answer_to_where_the_device_goes():
+    """Measured, a spring's torque is that of where the device was then."""
+    made = rises_in_device(1, nodes_per_second=20)
+    (trial,) = made.trials
+    study = dx.Study(made.model, made.trials)
+    contact = made.contact.with_values({"thigh.normal_stiffness": 2000.0})
+    plain = dx.predict(study, trial, contact)
+    study.device = Device(joints={"exo_ankle": JointDrive(viscous_nm_s=1.0)})
+    rubbing = dx.predict(study, trial, contact)
+    assert (rubbing.q == plain.q).all()
+    assert (rubbing.moments == plain.moments).all()
+    study.device = Device(knee=JointDrive(stiffness_nm_rad=60.0, rest_deg=20.0))
+    found = dx.predict(study, trial, contact)
+    at = trial.sample(found.times)
+    off = found.coordinate("exo_knee") - at.coordinate("exo_knee")
+    more = found.moment("exo_knee") - at.moment("exo_knee")
+    assert np.abs(60.0 * off).max() > 1.0
+    np.testing.assert_allclose(more, -60.0 * off, atol=0.4)
+    # A controller gives all of the torque.
+    controller = AssistController(knee_nm=10.0)
+    driven = dx.predict(study, trial, contact, controller=controller)
+    study.device = None
+    alone = dx.predict(study, trial, contact, controller=controller)
+    assert (driven.q == alone.q).all()
