@@ -34,6 +34,7 @@ from drake_exo.calibration.wearers import (
     Wearer,
     answer,
     assisted,
+    check_population,
     check_wearers,
     drawn,
     drives_answer,
@@ -121,6 +122,8 @@ def design(
         for name, own, contact in zip(names, studies, contacts, strict=True)
     ]
     check_wearers(worn, settings)  # told before minutes of solving
+    for who in worn if settings.population is not None else ():
+        check_population(who)
     before, wearers = {}, []
     for own, who in zip(studies, worn, strict=True):
         own.warn_of(who.trials)

@@ -25,6 +25,7 @@ from drake_exo.calibration.settings import (
     CuffFreedom,
     DesignLimits,
     DesignSettings,
+    Population,
     PredictionSettings,
     Solver,
 )
@@ -40,6 +41,7 @@ from drake_exo.files.output import Check, Verdict
 from drake_exo.measurement.trial import CuffForce
 from drake_exo.model.plant import nominal_model
 from drake_exo.report.figures import forces_figure
+from drake_exo.virtual_laboratory import synthetic
 
 SOLVER = Solver(20.0, tolerance=1e-4)
 SETTINGS = DesignSettings(draws=0, points=1, solver=SOLVER)
@@ -663,6 +665,17 @@ def test_what_is_asked_in_python_is_checked(study):
 def test_wrong_settings_are_one_sentence(text, said):
     with pytest.raises(InputError, match=said):
         schema.load_text(text, DesignSettings)
+
+
+def test_a_population_that_bears_a_load_is_told_before_work(monkeypatch):
+    """Solving the own movements comes after."""
+    made = synthetic.rises_in_device(1, nodes_per_second=20)
+    (rise,) = made.trials
+    loaded = replace(rise, applied={"thigh": rise.ground})
+    monkeypatch.setattr(designing, "movements", None)
+    settings = DesignSettings(population=Population((1.7, 0.1), (70.0, 10.0)))
+    with pytest.raises(InputError, match="trial rise1 has a chair or a load"):
+        dx.design(dx.Study(made.model, [loaded]), made.contact, settings)
 
 
 def test_a_missing_calibration_is_one_sentence(capsys, tmp_path, data_root):

@@ -418,6 +418,27 @@ def less(wearer: Wearer, design: Design) -> Wearer:
     )
 
 
+def check_population(wearer: Wearer) -> None:
+    """Refuse one whom bodies of a population cannot stand for.
+
+    Raises:
+        InputError: the device does not adjust to a body, or the person has
+            two legs or bears a load.
+    """
+    assembly = wearer.model.assembly
+    if not assembly.is_fitted or assembly.human.sides:
+        raise InputError(
+            "design.population: needs the shipped device, which adjusts to a "
+            "body, on a person of one leg for both; leave it out"
+        )
+    loaded = [t.name for t in wearer.trials if t.borne()]
+    if loaded:
+        raise InputError(
+            f"design.population: trial {loaded[0]} has a chair or a load, and "
+            "how another body would bear it is not known; leave it out"
+        )
+
+
 def check_wearers(wearers: Sequence[Wearer], settings: DesignSettings) -> None:
     """Refuse wearers that no design can be made for.
 
@@ -648,18 +669,8 @@ def sized(
         InputError: the device does not adjust to a body, the person has two
             legs or bears a load, or a body's movement cannot be solved.
     """
+    check_population(wearer)
     model = wearer.model
-    if not model.assembly.is_fitted or model.assembly.human.sides:
-        raise InputError(
-            "design.population: needs the shipped device, which adjusts to a "
-            "body, on a person of one leg for both; leave it out"
-        )
-    loaded = [t.name for t in wearer.trials if t.borne()]
-    if loaded:
-        raise InputError(
-            f"design.population: trial {loaded[0]} has a chair or a load, and "
-            "how another body would bear it is not known; leave it out"
-        )
     human, found = model.human, []
     ankle = human.ankle_height_m
     settings = replace(settings, errors=NO_ERRORS)
