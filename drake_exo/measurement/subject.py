@@ -144,6 +144,8 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
             else [],
         }
     mass = _body_mass(settings, wrench, report, person)
+    if person is not None or settings.scaling.lengths == "markers":
+        _check_height(standing.source, markers.ankle_height_m)
     human = (
         _scaled(settings, mass, markers)
         if person is None
@@ -335,8 +337,8 @@ def _body_mass(
         report["stated_mass_kg"] = stated
     if stated is None and measured is None:
         raise InputError(
-            "the body mass is unknown: give subject.mass_kg, or "
-            "standing.forces of quiet standing"
+            f"{settings.standing.markers}: the body mass is unknown; give "
+            "subject.mass_kg, or standing.forces of quiet standing"
         )
     if wrench is not None:
         usual = (stated or _LEAST_MASS_KG) * settings.gravity_m_s2
@@ -381,7 +383,7 @@ def _as_modelled(
     parts = {name: getattr(human, name).heavier(ratio) for name in SEGMENTS}
     if human.toes is not None:
         parts["toes"] = human.toes.heavier(ratio)
-    height = _checked_height(model.ankle_height_m)
+    height = model.ankle_height_m
     feet = [model.index("foot", side) for side in model.sides]
     level = np.exp(-1j * poses.angles[:, feet].mean())
 
@@ -411,7 +413,7 @@ def _stretched(segment: SegmentParameters, length: float):
 
 def _raised(human: HumanParameters, ankle_height: float) -> HumanParameters:
     """The ankle at its measured height; soles and contact stay below it."""
-    ratio = _checked_height(ankle_height) / human.ankle_height_m
+    ratio = ankle_height / human.ankle_height_m
     sphere_z = CONTACT_RADIUS_M - ankle_height
     return replace(
         human,
@@ -424,14 +426,13 @@ def _raised(human: HumanParameters, ankle_height: float) -> HumanParameters:
     )
 
 
-def _checked_height(ankle_height: float) -> float:
+def _check_height(source: str, ankle_height: float) -> None:
     if not 0.02 < ankle_height < 0.3:
         raise InputError(
-            f"the ankles are {ankle_height:.3f} m above the floor in "
+            f"{source}: the ankles are {ankle_height:.3f} m above the floor in "
             "standing; check markers.joint_centres.ankle and that the "
             "laboratory's floor is at zero height"
         )
-    return ankle_height
 
 
 def _with_device(settings: RecordingSettings, human: HumanParameters) -> Model:

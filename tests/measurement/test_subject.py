@@ -69,10 +69,20 @@ def test_a_measured_ankle_raises_all_that_is_below_it():
 @pytest.mark.parametrize("height", [0.019, 0.021, 0.299, 0.301])
 def test_ankles_are_between_2_and_30_cm(height):
     if 0.02 < height < 0.3:
-        assert subject._checked_height(height) == height
+        subject._check_height("s.trc", height)
         return
-    with pytest.raises(InputError, match="m above the floor"):
-        subject._checked_height(height)
+    with pytest.raises(InputError, match=r"^s\.trc: .* m above the floor"):
+        subject._check_height("s.trc", height)
+
+
+def test_an_unknown_body_mass_names_the_file():
+    settings = SimpleNamespace(
+        assembly=SimpleNamespace(is_fitted=False, device=None),
+        subject=SimpleNamespace(mass_kg=None),
+        standing=SimpleNamespace(markers="s.trc", forces=None),
+    )
+    with pytest.raises(InputError, match=r"^s\.trc: the body mass is unknown"):
+        subject._body_mass(settings, None, {}, None)
 
 
 @pytest.mark.parametrize("kind", ["human", "coupled"])
