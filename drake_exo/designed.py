@@ -23,7 +23,7 @@ from drake_exo.calibration.design_result import (
     works,
     worn_norm,
 )
-from drake_exo.calibration.design_variables import Variable
+from drake_exo.calibration.design_variables import Variable, is_assistance
 from drake_exo.calibration.results import solve_summary, write_contact
 from drake_exo.calibration.settings import DesignSettings, DriveLimits
 from drake_exo.calibration.uncertainty import Bands
@@ -554,7 +554,13 @@ class Designed:
                             where=joint + others,
                             sentence=f"{_BEYOND_LIMIT}drives.{joint}.{key}",
                         )
-        for row in self.variables():
+        rows = self.variables()
+        gains = self.settings.assistance_over == "gains"
+        if gains and not any(is_assistance(row["name"]) for row in rows):
+            said = "has nothing to act on: no drive of the device gives torque"
+            where = "design.assistance_over: gains"
+            yield note("design.assistance", where=where, sentence=said)
+        for row in rows:
             at = {k: row[k] for k in ("value", "unit")}
             at["where"] = row["name"]
             if row["at_bound"]:

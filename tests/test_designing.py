@@ -351,6 +351,27 @@ def test_what_is_an_extrapolation_is_named_once_in_order():
     assert Designed.beyond(told) == ["pelvis", "shank", "hip"]
 
 
+@pytest.mark.parametrize(
+    ("over", "name", "told"),
+    [
+        ("gains", "thigh.along_m", ["design.assistance"]),
+        ("gains", "exo_knee.support", []),
+        ("angle", "thigh.along_m", []),
+    ],
+)
+def test_gains_that_have_no_drive_to_act_on_are_told(over, name, told):
+    row = {"name": name, "value": 0.0, "unit": "m"}
+    found = SimpleNamespace(
+        settings=DesignSettings(assistance_over=over),
+        peaks={},
+        after={},
+        felt=list,
+        softened=list,
+        variables=lambda: [row | {"at_bound": False, "extrapolated": False}],
+    )
+    assert [c.name for c in Designed._notes(found)] == told
+
+
 def test_cuffs_that_deflect_further_than_today_are_named():
     """By more than a part in a thousand, in either direction."""
 
