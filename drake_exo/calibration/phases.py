@@ -82,6 +82,7 @@ class FootGroundCalibration(PhaseProblem):
         ground: GroundContact | None = None,
         refined: Mapping[str, Parts] | None = None,
     ):
+        check_type(model, Model, "model")
         settings = schema.checked(settings, FootGroundSettings, "settings")
         trials = as_trials(trials)
         if ground is None:
@@ -204,6 +205,7 @@ class InteractionCalibration(PhaseProblem):
         *,
         refined: Mapping[str, Parts] | None = None,
     ):
+        check_type(model, Model, "model")
         check_has_cuffs(model)
         settings = schema.checked(settings, InteractionSettings, "settings")
         check_type(contact, ContactModel, "contact")
@@ -347,6 +349,7 @@ class PredictionProblem(PhaseProblem):
         answers: Mapping[str, Answer] | None = None,
         refined: Mapping[str, Parts] | None = None,
     ):
+        check_type(model, Model, "model")
         usual = PredictionSettings(ends=self.ends)
         settings = schema.checked(
             settings, PredictionSettings, "settings", usual

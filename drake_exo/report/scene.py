@@ -34,6 +34,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
+from drake_exo.errors import check_type
 from drake_exo.model.plant import Model
 
 RENDERER = "still"
@@ -90,6 +91,7 @@ class Scene:
             colour: of everything, such as a translucent one; the model's own
                 colours if None.
         """
+        check_type(model, Model, "model")
         self.coordinates = model.coordinates
         builder = DiagramBuilder()
         self.plant, self._scene_graph = AddMultibodyPlantSceneGraph(

@@ -3,6 +3,7 @@
 import os
 import signal
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -192,6 +193,17 @@ def test_a_phase_is_posed_of_what_it_needs(made, phase):
     assert "give a" in words(settings=dx.settings.DesignSettings())
     known = {"ground": "flat"} if phase == "foot-ground" else {"contact": 3}
     assert "give a" in words(**known)
+
+
+@pytest.mark.parametrize("phase", [*PHASES, "scene"])
+def test_a_study_is_no_model(made, phase):
+    study = dx.Study(made.model, made.trials)
+    wrong = SimpleNamespace(model=study, contact=made.contact)
+    with pytest.raises(InputError, match=r"model is Study.*; give a Model"):
+        if phase == "scene":
+            dx.Scene(study)
+        else:
+            PHASES[phase](wrong, made.trials, None)
 
 
 def test_a_phases_settings_are_held_to_what_a_file_may_say(made):
