@@ -9,6 +9,7 @@ from worn import as_guessed
 from worn import wearer as worn
 
 from drake_exo.calibration.design import DesignProblem
+from drake_exo.calibration.problem import torque_terms
 from drake_exo.calibration.settings import DesignLimits, PredictionSettings
 from drake_exo.calibration.wearers import (
     OwnMovement,
@@ -181,17 +182,23 @@ def test_a_forecast_s_torques_answer_as_far_as_the_device_strays(wearer):
     who = replace(wearer, law=LAW)
     (own,) = who.trials
     design = Design(assistance={"exo_hip": Assistance((0.0,), (0.5,))})
+    answers = answer(own, who, own, design)
     posed = OwnMovement(
         who.model,
         [own],
         who.contact,
         PredictionSettings(),
-        answers={own.name: answer(own, who, own, design)},
+        answers={own.name: answers},
     )
     (movement,) = posed.movements
     at = own.sample(movement.grid.times)
-    terms = {len(t.target[0]): t for t in posed._torques(movement, at, None)}
-    term = terms[len(own.coordinates.joints)]
+    (term,) = torque_terms(movement, at, posed.settings.noise, answer=answers)
+    assert any(
+        np.array_equal(t.rows, term.rows)
+        and np.array_equal(t.target, term.target)
+        for t in movement.tracked
+        if t.rows.shape == term.rows.shape
+    )
     device = own.coordinates.device_columns
     for off in (0.0, 0.01):
         moments = at.moments.copy()
