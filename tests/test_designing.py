@@ -38,6 +38,7 @@ from drake_exo.designing import front, on_design
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.output import Check, Verdict
+from drake_exo.measurement.settings import Device, JointDrive
 from drake_exo.measurement.trial import CuffForce
 from drake_exo.model.plant import nominal_model
 from drake_exo.report.figures import forces_figure
@@ -461,6 +462,25 @@ def test_migration_is_what_encoders_tell():
     less = [Moved(tilted(2.4), None, trial, tilted(2.0))]
     assert set(designing.slid(less, model, contact).values()) == {1.0}
     assert designing.slid(moved[2:], model, contact) == {}
+
+
+def test_springs_answer_once_on_a_design(monkeypatch):
+    """In the prediction; the trial that it begins with has them as measured."""
+    monkeypatch.setattr(designing, "posture_law", lambda *args: {})
+    made = synthetic.rises_in_device(1, nodes_per_second=20)
+    (trial,) = made.trials
+    own = dx.Study(made.model, made.trials, name="somebody")
+    own.device = Device(knee=JointDrive(stiffness_nm_rad=60.0, rest_deg=20.0))
+    soft = Design({"thigh": CuffDesign(strap_normal_n_m=1000.0)})
+    built, held = on_design(own, made.contact, soft)
+    (given,) = built.trials()
+    np.testing.assert_allclose(given.moments, trial.moments, atol=1e-9)
+    found = dx.predict(built, given, held)
+    at = trial.sample(found.times)
+    off = found.coordinate("exo_knee") - at.coordinate("exo_knee")
+    assert np.abs(60.0 * off).max() > 1.0
+    more = found.moment("exo_knee") - at.moment("exo_knee")
+    np.testing.assert_allclose(more, -60.0 * off, atol=0.6)
 
 
 @pytest.mark.slow
