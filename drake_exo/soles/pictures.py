@@ -157,10 +157,12 @@ def load_figure(
     figure.colorbar(points, ax=left, label="time [s]", shrink=0.8)
     struck = 1e3 * load.zmp[list(load.begins)]
     left.plot(*struck.T, "o", mfc="none", mec="k", ms=9)
+    # Of a given pose another one comes out.
+    which = "Recorded ZMP" if load.is_measured.any() else "ZMP"
     left.set(
         xlabel="x, forward [mm]",
         ylabel="y, left [mm]",
-        title="ZMP on the sole (○: heel strike)",
+        title=f"{which} on the sole (○: heel strike)",
         aspect="equal",
     )
     for (axis, colour), force in zip(_AXES.items(), load.force.T, strict=True):

@@ -53,6 +53,9 @@ def test_a_better_sole_comes_out(folder):
     row = json.loads((folder / "out" / "summary.json").read_text())
     assert row["c"] < row["c_initial"]
     assert row["volume_cm3"] <= 813.1
+    case = Case.read(folder / "case.yaml")
+    density = case.settings.material.material().density_kg_per_m3
+    assert row["mass_kg"] == pytest.approx(1e-6 * row["volume_cm3"] * density)
     for key in ("c_tr", "c_rot", "c_tr_initial", "c_rot_initial", "optimal",
                 "stable", "max_strain", "seconds"):  # fmt: skip
         assert key in row

@@ -155,7 +155,7 @@ class Design:
             key: now[key]
             for key in (
                 "name", "c_tr", "c_rot", "c", "failed_steps", "failures",
-                "volume_cm3", "stable", "stability_min_n_per_m",
+                "volume_cm3", "mass_kg", "stable", "stability_min_n_per_m",
                 "tilt_max_deg", "max_strain", "tets", "contact_nodes",
                 "least_quality", "weight", "undercut", "c_tr_mean_n_per_m",
                 "c_rot_mean_nm_per_rad",
