@@ -300,6 +300,11 @@ def _model(path: str, model: ET.Element) -> OsimModel:
     ]
     if not bodies or not joints:
         raise InputError(f"{path}: has no bodies or no joints")
+    if loose := bodies.keys() - {joint.child for joint in joints}:
+        raise InputError(
+            f"{path}: body {min(loose)!r} hangs from no joint; open it in "
+            "OpenSim 4, which gives it one, and save it"
+        )
     markers = {}
     for marker in model.iterfind("MarkerSet/objects/Marker"):
         body = _last(marker.findtext("socket_parent_frame"))
@@ -385,6 +390,12 @@ def _joint(path: str, joint: ET.Element, bodies) -> OsimJoint:
     if kind == "CustomJoint":
         axes = _custom(where, joint.find("SpatialTransform"), names)
     else:
+        count = sum(map(len, _SIMPLE[kind]))
+        if len(names) != count:
+            raise InputError(
+                f"{where}: a {kind} has {count} coordinates, and here are "
+                f"{len(names)}; open it in OpenSim 4 and save it"
+            )
         free = iter(names)
         axes = [
             tuple(OsimAxis(np.array(a), next(free), _linear(1, 0)) for a in of)

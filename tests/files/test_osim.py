@@ -89,6 +89,11 @@ def test_splines_are_opensims(tmp_path):
             "<socket_parent_frame>/bodyset/toes_r<",
             "hangs from nothing",
         ),
+        (
+            '<Coordinate name="pelvis_tilt"/>',
+            "",
+            "a PlanarJoint has 3 coordinates, and here are 2",
+        ),
         ("<gravity>0 -9.80665 0", "<gravity>-9.8 0 0", "not along -y"),
         (">meters<", ">inches<", "lengths are in inches"),
     ],
@@ -99,6 +104,14 @@ def test_what_cannot_be_read_is_said_in_a_sentence(tmp_path, old, new, words):
     with pytest.raises(InputError, match=words) as caught:
         read(tmp_path, text.replace(old, new))
     assert "\n" not in str(caught.value)
+
+
+def test_a_body_without_a_joint_is_named(tmp_path):
+    text = small_osim()
+    start = text.index('<WeldJoint name="shoulder_r"')
+    end = text.index("</WeldJoint>", start) + len("</WeldJoint>")
+    with pytest.raises(InputError, match="'humerus_r' hangs from no joint"):
+        read(tmp_path, text[:start] + text[end:])
 
 
 def test_joints_that_are_not_known_are_named(tmp_path):
