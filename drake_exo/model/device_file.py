@@ -5,6 +5,8 @@ read: x forward, joints that are to be held made fixed, frames of links turned
 into the plane, and links that are named as segments of the person renamed.
 """
 
+import logging
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +18,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointIndex, ModelInstanceIndex
 
-from drake_exo.errors import InputError, reason
+from drake_exo.errors import InputError, first_line
 from drake_exo.files.tables import read_text
 from drake_exo.model.assembly import Assembly, DeviceFile, Weld
 
@@ -461,6 +463,19 @@ def _has_size(shape: ET.Element) -> bool:
     return all(0.0 < size < np.inf for size in sizes)
 
 
+# Before what Drake has to say: lines of a text that is not the file's any more,
+# and the way to an element from the file's root.
+_PLACE = re.compile(
+    r"^(<[^>]*>\S*:\d+: )?(error: )?"
+    r'(At XML path /sdf(/model(\[@name="[^"]*"\])?)?)?'
+)
+
+
+def _is_no_error(record: logging.LogRecord) -> bool:
+    """Whether Drake's log says what no exception will say."""
+    return record.levelno < logging.ERROR
+
+
 def add_device(
     parser, plant: MultibodyPlant, device: DeviceFile, text: str
 ) -> ModelInstanceIndex:
@@ -471,10 +486,15 @@ def add_device(
             attached to nothing, or joints close a loop.
     """
     text = without_stiff_joints(device, text)
+    log = logging.getLogger("drake")
+    log.addFilter(_is_no_error)
     try:
         (instance,) = parser.AddModelsFromString(text, device.kind)
     except (RuntimeError, ValueError) as error:
-        raise InputError(f"{device.name}: {reason(error)}") from error
+        said = first_line(_PLACE.sub("", str(error))).rstrip(".")
+        raise InputError(f"{device.name}: {said}; correct it") from error
+    finally:
+        log.removeFilter(_is_no_error)
     links = link_names(plant, instance)
     for link in device.weld:
         if link not in links:

@@ -1071,6 +1071,21 @@ def test_what_an_sdf_may_not_have_is_refused(more, words):
         brought_in(assembly, text.replace("</model>", more + "</model>"))
 
 
+def test_what_drake_cannot_read_is_one_sentence(caplog):
+    """It logs the same again; its lines are not those of the file."""
+    assembly = Assembly(device=DeviceFile({"shoe": "foot"}, Path("d.sdf")))
+    with pytest.raises(InputError) as caught:
+        brought_in(assembly, SDF.replace(">0 1 0<", ">y<"))
+    assert str(caught.value).startswith('d.sdf: /joint[@name="')
+    assert str(caught.value).endswith("element <xyz>; correct it")
+    with pytest.raises(
+        InputError,
+        match="urdf: Joint 'motor' has unrecognized type: 'pin'; correct it",
+    ):
+        edited(ANKLE, ('type="revolute"', 'type="pin"'))
+    assert not caplog.records
+
+
 def test_a_rotor_of_an_sdf_is_told_to_be_left_out():
     rotor = "<drake:rotor_inertia>1e-4</drake:rotor_inertia><axis>"
     text = SDF.replace("<sdf ", '<sdf xmlns:drake="http://drake.mit.edu" ')
