@@ -211,9 +211,19 @@ def _along(line: np.ndarray, share: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(share, s, x) for x in line.T])
 
 
+_CELL = ["row", "column", "x", "y", "z"]
+
+
 def _read_cells(path: Path, rows: int, columns: int) -> np.ndarray:
     """Cells' places, in the order of the mat, from "row, column, x, y, z"."""
     lines = list(enumerate(read_text(path).splitlines(), 1))
+    named = [name.strip().lower() for _, line in lines[:1]
+             for name in line.split(",")]  # fmt: skip
+    if named != _CELL and sorted(named) == sorted(_CELL):
+        raise InputError(
+            f"{path}:1: columns are {', '.join(named)}; write them in the "
+            f"order {', '.join(_CELL)}"
+        )
     cells = [(i, line.split(",")) for i, line in lines[1:] if line.strip()]
     table = number_rows(path, cells, 5)
     wanted = [(r, c) for r in range(rows) for c in range(columns)]
