@@ -420,6 +420,9 @@ def _steps(grid: np.ndarray) -> list[np.ndarray]:
     return [d for d in steps if len(d)]
 
 
+_AXIS = 0.02, 2.0  # a segment's length [m]
+
+
 def _to_segment(scan: Scan) -> np.ndarray:
     """Rotation (3, 3) from forward, left, up to the segment's axes."""
     if scan.segment_axis is None:
@@ -427,10 +430,11 @@ def _to_segment(scan: Scan) -> np.ndarray:
     low, high = LENGTHS[scan.unit] * scan.axes.frame.points(scan.segment_axis)
     x, z = high - low
     length = np.hypot(x, z)
-    if not length > 0.02:
+    if not _AXIS[0] < length < _AXIS[1]:
         raise InputError(
             f"{scan.file}: the two points of segment_axis are {length:.3g} m "
-            "apart; give the lower and the upper joint centre"
+            "apart; give the lower and the upper joint centre in the scan's "
+            "unit"
         )
     if z < -0.5 * length:  # one that lies is neither
         raise InputError(

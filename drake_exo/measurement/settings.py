@@ -314,6 +314,16 @@ class SidedMarkers:
     right: tuple[str, ...] = ()
     middle: tuple[str, ...] = ()
 
+    def __post_init__(self):
+        for side in (*SIDES, "middle"):
+            names = getattr(self, side)
+            for name in names:
+                if names.count(name) > 1:
+                    raise InputError(
+                        f"{side} names the marker {name!r} more than once, and "
+                        "it would count as often; name it once"
+                    )
+
     def of(self, side: Side) -> tuple[str, ...]:
         """The names on one side."""
         return self.left if side == "left" else self.right

@@ -212,6 +212,12 @@ def test_refuses_joint_centres_on_one_spot(tree, human, markers):
     assert "measures 0.000 m" in refusal(tree, human, same)
 
 
+def test_refuses_a_marker_that_is_named_twice(markers):
+    left = markers.segments.shank.left
+    with pytest.raises(InputError, match=f"left names the marker '{left[0]}'"):
+        replace(markers.segments.shank, left=(*left, left[0]))
+
+
 def test_refuses_weights_of_unknown_markers(tree, human, markers):
     odd = replace(markers, weights={"nose": 2.0})
     assert "'nose', which is on no segment" in refusal(tree, human, odd)

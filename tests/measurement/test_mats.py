@@ -473,9 +473,10 @@ def test_refuses_other_kinds_of_files(folder):
 
 def test_an_axis_needs_two_points(folder):
     point = (0.0, 0.0, 0.1)
-    scan = replace(MAT.scan, segment_axis=(point, point))
-    with pytest.raises(InputError, match="lower and the upper joint"):
-        cell_directions(replace(MAT, scan=scan), "m", folder)
+    for other in (point, (400.0, 0.0, 0.5)):  # or one of another unit
+        scan = replace(MAT.scan, segment_axis=(point, other))
+        with pytest.raises(InputError, match="lower and the upper joint"):
+            cell_directions(replace(MAT, scan=scan), "m", folder)
 
 
 def test_an_axis_goes_upwards(folder):
