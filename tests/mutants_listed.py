@@ -510,7 +510,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ('if parameter["at_bound"]:', "if False:"),
         ('"weakly determined"', '""'),
         ('for e in ("", "_worst")', 'for e in ("_worst", "")'),
-        ("f\"{p['lower']:.3g}\",", "f\"{p['upper']:.3g}\","),
+        ("f\"{p['lower']:.4g}\",", "f\"{p['upper']:.4g}\","),
     ],
     "drake_exo/report/figures.py": [
         ("np.rad2deg(read(t, name))", "read(t, name)"),

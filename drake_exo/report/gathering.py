@@ -595,8 +595,8 @@ def parameters_table(parameters: list[dict]) -> str:
             p["name"],
             f"{p['value']:.4g}",
             _interval(p),
-            f"{p['lower']:.3g}",
-            f"{p['upper']:.3g}",
+            f"{p['lower']:.4g}",
+            f"{p['upper']:.4g}",
             p["unit"],
             _remark(p),
         ]

@@ -126,6 +126,12 @@ def test_parameters_with_interval_bounds_and_remark(more, interval, remark):
     assert (half, said) == (interval, remark)
 
 
+def test_a_value_at_its_bound_is_not_printed_beyond_it():
+    row = parameter("toe.x", value=0.22034, upper=0.22034, at_bound=True)
+    ((_, value, _, _, upper, *_),) = cells(gathering.parameters_table([row]))
+    assert value == upper == "0.2203"
+
+
 def test_an_audit_is_one_line_a_trial():
     row = {
         "trial": "rise1",
