@@ -207,7 +207,11 @@ def _cold_start(solver, target, press, patience):
             if report.converged and state.R[2, 2] > np.cos(_MAX_TILT):
                 return state, report
     report.converged = False
-    report.message = f"no start from {tried} hull facets ({report.message})"
+    report.message = (
+        f"no start from {tried} hull facets ({report.message}); where its ZMP "
+        "is near the sole's edge, begin later (from, skip_first, "
+        "least_force_n)"
+    )
     return None, report
 
 

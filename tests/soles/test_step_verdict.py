@@ -77,6 +77,16 @@ def test_a_sample_that_failed_is_named_by_its_time():
     assert "by some 1300% of its thick" in _told(pressed=13)["solved"].sentence
 
 
+@pytest.mark.slow
+def test_a_heel_too_near_the_edge_is_told_to_begin_later():
+    text = EXAMPLE.replace("[10, 0, 400]", "[0, 0, 200]")
+    case = Case.from_text(text.replace("[0.02, 0.01]", "[-0.1145, 0.06]"))
+    (check, *_) = step_checks(case.simulate())
+    assert check.name == "solved" and not check.holds
+    assert "no start from" in check.sentence
+    assert "near the sole's edge, begin later (from," in check.sentence
+
+
 def test_a_block_is_pressed_by_force_over_modulus_and_area():
     case = Case.from_text(EXAMPLE)  # 400 N on 0.23 x 0.13 m of 1 MPa
     step = SimpleNamespace(setup=case, sole=case.sole())
