@@ -232,6 +232,16 @@ def test_the_map_is_true():
         assert (ROOT / "drake_exo" / place.strip("`")).exists(), place
 
 
+def test_pages_say_how_often_a_grid_is_refined():
+    from drake_exo.calibration.solving import REFINEMENTS
+
+    assert REFINEMENTS == 5
+    places = ("docs/results.md", "docs/method.md")
+    for place in (*places, "tutorials/06_calibrating.ipynb"):
+        text = " ".join((ROOT / place).read_text("utf-8").split())
+        assert re.search("at most five times|five times at most", text), place
+
+
 def test_files_named_in_the_pages_exist():
     for page in PAGES:
         for place in re.findall(
