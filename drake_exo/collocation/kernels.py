@@ -623,6 +623,12 @@ class ControllerKernel:
             )
         if not controller.HasInputPort(STATE_PORT):
             raise InputError(f"the controller has no input port '{STATE_PORT}'")
+        size = controller.GetInputPort(STATE_PORT).size()
+        if size != 2 * m:
+            raise InputError(
+                f"the controller's {STATE_PORT} has {size} values, but the "
+                f"device {m} joints: declare {2 * m}, angles and rates"
+            )
         if not controller.HasOutputPort(TORQUE_PORT):
             raise InputError(
                 f"the controller has no output port '{TORQUE_PORT}'"
@@ -667,7 +673,7 @@ class ControllerKernel:
         except Exception as error:  # it is the user's own code
             raise InputError(
                 f"the controller gives no torques at rest ({reason(error)}); "
-                f"{STATE_PORT} must have {2 * self._m} values, and all it needs"
+                f"{STATE_PORT} must be all that it needs"
             ) from error
         if at_rest.shape != (self._m,) or not np.isfinite(at_rest).all():
             raise InputError(

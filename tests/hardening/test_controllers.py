@@ -92,7 +92,7 @@ class Sized(LeafSystem):
 def test_ports_of_other_sizes():
     for system, words in (
         (LeafSystem(), "has no input port"),
-        (Sized(inputs=4), "gives no torques at rest"),
+        (Sized(inputs=4), "has 4 values, but the device 3 joints: declare 6,"),
         (Sized(fails=True), "as planned"),
     ):
         with pytest.raises(InputError, match=words):
