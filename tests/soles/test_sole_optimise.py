@@ -221,6 +221,13 @@ def test_a_wrong_checkpoint_is_exit_code_2(folder, capsys):
     assert "checkpoint.json: cannot be read" in capsys.readouterr().err
 
 
+def test_a_resumed_run_does_not_replace_what_it_resumes(folder, capsys):
+    out = folder / "out"
+    case, options = folder / "case.yaml", ("--resume", out, "--force")
+    assert optimize(case, out, *options) == 2
+    assert f"would replace {out}, which is read" in capsys.readouterr().err
+
+
 def test_a_checkpoint_of_another_case_is_exit_code_2(folder, capsys):
     _write_case(folder / "other.yaml", intervals=4)
     out, never = folder / "out", folder / "never"
