@@ -439,7 +439,10 @@ def check_increasing(source: str, time: np.ndarray) -> None:
     """
     if not np.isfinite(time).all():
         frame = int(np.argmin(np.isfinite(time)))
-        raise InputError(f"{source}: time of frame {frame + 1} is missing")
+        raise InputError(
+            f"{source}: time of frame {frame + 1} is missing; correct it or "
+            "export it again"
+        )
     steps = np.diff(time)
     if len(steps) and steps.min() <= 0.0:
         frame = int(np.argmax(steps <= 0.0)) + 1

@@ -169,8 +169,14 @@ class Playback:
         first, last = runs[self.step]
         weight = [0.0, 0.0, self.gravity_m_per_s2]
         total = self.mass_kg * (table[:, 10:13] + weight)
-        share, zmp = share_double_support(table[:, 1:3], phase, mine)
+        with np.errstate(invalid="ignore"):
+            share, zmp = share_double_support(table[:, 1:3], phase, mine)
         rows = np.arange(first, last)
+        if not np.isfinite(share[rows]).all():
+            raise InputError(
+                f"{path}: the ZMP (columns 2 and 3) does not move from one "
+                "foot to the other in double support; export it again"
+            )
         rows = rows[share[rows] * total[rows, 2] >= self.least_force_n]
         if len(rows) == 0:
             raise InputError(

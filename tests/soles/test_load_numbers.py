@@ -371,6 +371,11 @@ def test_a_stance_of_a_playback(tmp_path, foot, side):
         Playback("walk.txt", foot, 1).load(tmp_path)
     with pytest.raises(InputError, match="never carries 20 N; check mass_kg"):
         Playback("walk.txt", foot, 0, mass_kg=1.0).load(tmp_path)
+    still = table.copy()
+    still[:, 1:3] = 0.1
+    _written(tmp_path / "walk.txt", [], still)
+    with pytest.raises(InputError, match=r"walk\.txt: the ZMP .* not move"):
+        Playback("walk.txt", foot, 0).load(tmp_path)
     table[:, 0] = np.where(PHASE == 0, 3, PHASE)
     _written(tmp_path / "walk.txt", [], table)
     with pytest.raises(InputError, match=r"walk\.txt: .* the phase 3; write 0"):
