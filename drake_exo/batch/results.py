@@ -588,6 +588,8 @@ def _over_subjects(rows: list[Row]) -> Figure | None:
     """Mean and SD over subjects of each signal's RMSD."""
     from matplotlib.figure import Figure
 
+    from drake_exo.report.gathering import place
+
     values: dict[str, dict[str, dict]] = {}
     for row in rows:
         if row.value is not None:
@@ -600,6 +602,7 @@ def _over_subjects(rows: list[Row]) -> Figure | None:
     figure = Figure(figsize=(3.2 * len(values), 3.2))
     axes = figure.subplots(1, len(values), squeeze=False)[0]
     for ax, (group, signals) in zip(axes, values.items(), strict=True):
+        signals = {name: signals[name] for name in sorted(signals, key=place)}
         for k, of_subjects in enumerate(signals.values()):
             means = [np.mean(v) for v in of_subjects.values()]
             sd = np.std(means, ddof=1) if len(means) > 1 else None
@@ -644,14 +647,15 @@ def _bland_altman(rows: list[Row]) -> Figure | None:
         x = np.array([(a.value + b.value) / 2 for a, b in pairs])
         y = np.array([a.value - b.value for a, b in pairs])
         ax.scatter(x, y, s=12, c=[colours[a.subject] for a, _ in pairs])
-        for level, style in zip(
+        for level, style, what in zip(
             limits_of_agreement(y, [a.subject for a, _ in pairs]),
             ("-", "--", "--"),
+            ("bias", "−1.96 SD", "+1.96 SD"),
             strict=True,
         ):
             ax.axhline(level, color="0.3", ls=style, lw=0.9)
             ax.annotate(
-                f" {level:.3g}",
+                f" {what}\n {level:.3g}".replace("-", "−"),
                 (1.0, level),
                 xycoords=("axes fraction", "data"),
                 va="center",

@@ -572,11 +572,11 @@ def rmsd_signals(rmsd: list[dict]):
                 yield label.replace(" {}", ""), (key,)
                 break
             names |= dict.fromkeys(value)
-        for name in sorted(names, key=_place):
+        for name in sorted(names, key=place):
             yield label.format(name), (key, name)
 
 
-def _place(name: str) -> int:
+def place(name: str) -> int:
     """Where a coordinate, component or segment stands in a table."""
     return _ORDER.index(name) if name in _ORDER else len(_ORDER)
 

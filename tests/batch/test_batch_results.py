@@ -421,6 +421,9 @@ def test_a_panel_holds_differences_over_means():
         drawn, [bias, bias - 1.96 * sd, bias + 1.96 * sd]
     )
     assert ax.get_ylabel() == "predicted − measured [N]"
+    said = [text.get_text().split("\n")[0].strip() for text in ax.texts]
+    assert said == ["bias", "−1.96 SD", "+1.96 SD"]
+    assert float(ax.texts[0].get_text()[6:].replace("−", "-")) == -2.33
 
 
 def test_figures_of_what_does_not_hold_are_marked(tmp_path):
@@ -457,6 +460,12 @@ def test_bars_are_means_over_subjects():
     rows.append(_row("c", "1", "rmsd.grf_n.horizontal", 1.0))
     (ax,) = results._over_subjects(rows).axes
     assert ax.get_title() == "1 to 2 subjects"
+    # As in tables, whatever comes first.
+    rows = [
+        _row("a", "1", f"rmsd.angles_deg.{n}", 1.0) for n in ("hip", "knee")
+    ]
+    (ax,) = results._over_subjects(rows).axes
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["knee", "hip"]
 
 
 def test_numbers_of_an_earlier_study_are_not_told(batch):
