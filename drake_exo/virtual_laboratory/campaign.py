@@ -91,9 +91,17 @@ def write_study(
     write_yaml(path, "A virtual subject in the exoskeleton stands up.", study)
 
 
+class _Whole(yaml.Dumper):
+    """Writes a value wherever it stands, never a sign for an equal one."""
+
+    def ignore_aliases(self, data: object) -> bool:
+        return True
+
+
 def write_yaml(path: Path, title: str, study: dict) -> None:
     """Write a study file under a line of comment."""
-    text = yaml.dump(study, sort_keys=False, default_flow_style=None, width=78)
+    look = {"sort_keys": False, "default_flow_style": None, "width": 78}
+    text = yaml.dump(study, Dumper=_Whole, **look)
     path.write_text(f"# {title}\n{text}", encoding="utf-8")
 
 

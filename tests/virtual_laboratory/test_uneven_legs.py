@@ -30,6 +30,7 @@ from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import SIDES
 from drake_exo.model.plant import nominal_model
 from drake_exo.virtual_laboratory import plan, two_legs
+from drake_exo.virtual_laboratory.campaign import write_yaml
 from drake_exo.virtual_laboratory.forces import ground_wrench, resting_foot
 from drake_exo.virtual_laboratory.instruments import (
     CELL_AREA_M2,
@@ -389,7 +390,7 @@ def test_a_study_of_two_legs_tells_what_is_known(worn):
         }
 
 
-def test_a_study_of_walks_lets_feet_roll(alone):
+def test_a_study_of_walks_lets_feet_roll(alone, tmp_path):
     subject = draw(alone, 3, frozenset())
     study, still = written(subject, "walk"), written(subject, "rise")
     assert study["filter"]["cutoff_hz"] == 10.0 and "device" not in study
@@ -404,6 +405,8 @@ def test_a_study_of_walks_lets_feet_roll(alone):
         "above": 0.04,
     }
     assert study["foot_ground"]["solver"] == {"nodes_per_second": 200.0}
+    write_yaml(tmp_path / "study.yaml", "walks", study)
+    assert "&" not in (tmp_path / "study.yaml").read_text()  # read by people
     for phase in ("foot_ground", "interaction"):
         assert study[phase]["end_tolerance"]["pitch_deg"] == 5.0
 
