@@ -335,7 +335,7 @@ def line(row: dict) -> str:
         f"{row['volume_cm3']:.0f} cm³, "
         f"{'optimal' if row['optimal'] else row.get('status', 'sole alone')}, "
         f"{'stable' if row['stable'] else 'unstable'}, largest strain "
-        f"{row['max_strain']:.2f}, {row['seconds']:.0f} s; held by "
+        f"{row['max_strain']:.2f}; held by "
         f"{', '.join(row.get('active', ())) or 'no limit'}"
     )
 
@@ -412,7 +412,7 @@ def certainty_table(rows: list[dict]) -> str:
         f"{'case':11s} {'c':>10s} {'paper':>10s} {'error':>8s} {'compl.':>8s} "
         f"{'exact law':>9s} {'finer':>7s} {'brick':>7s} {'spread':>7s} "
         f"{'strain':>6s} "
-        f"{'tilt':>5s} {'stable':>6s} {'s':>6s}"
+        f"{'tilt':>5s} {'stable':>6s}"
     )
     lines = [head, "-" * len(head)]
     for row in rows:
@@ -426,7 +426,7 @@ def certainty_table(rows: list[dict]) -> str:
             f"{_number(finer.get('brick_change'), '+7.2%')} "
             f"{_number(row.get('spread'), '+7.2%')} "
             f"{row['max_strain']:6.2f} {row['tilt_max_deg']:5.1f} "
-            f"{'yes' if row['stable'] else 'no':>6s} {row['seconds']:6.0f}"
+            f"{'yes' if row['stable'] else 'no':>6s}"
         )
     return "\n".join(lines)
 

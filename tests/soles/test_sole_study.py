@@ -78,6 +78,13 @@ def test_certainty_table_marks_what_is_unknown():
     assert "+0.40%" in line
     assert "+3.00%" in line
     assert " - " in line
+    # Files are the same, however long it took.
+    slower = row | {"seconds": 99.0}
+    assert certainty_table([slower]) == certainty_table([row])
+    costs = {"tets": 9, "c_tr": 4e5, "ratio_tr": 0.1, "c_rot": 3e5,
+             "ratio_rot": 0.9, "volume_cm3": 8e2, "optimal": True}  # fmt: skip
+    row |= costs | {"finer": None}
+    assert paper.line(row | {"seconds": 99.0}) == paper.line(row)
 
 
 def test_a_design_without_costs_has_its_line(tmp_path):
