@@ -14,7 +14,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     kinds = parser.add_subparsers(dest="kind", required=True)
     opensim = kinds.add_parser(
-        "opensim", help="an OpenSim model with calibrated contacts"
+        "opensim",
+        help="an OpenSim model with calibrated contacts",
+        description=__doc__,
     )
     opensim.add_argument(
         "results", type=Path, metavar="DIR", help="of calibrate or predict"

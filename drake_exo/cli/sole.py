@@ -33,7 +33,8 @@ def add_arguments(sole: ArgumentParser) -> None:
     jobs = sole.add_subparsers(dest="job", required=True)
 
     def job(name: str, run, help: str):
-        parser = jobs.add_parser(name, help=help)
+        told = f"`drake-exo sole {name}`: {help}."
+        parser = jobs.add_parser(name, help=help, description=told)
         parser.set_defaults(run=run)
         return parser
 

@@ -117,6 +117,26 @@ def test_commands_are_understood(page, words):
     assert cli.parse(words).command == words[0]
 
 
+def leaf(words: list[str]) -> str:
+    """`sole simulate` of its words, `check` of others."""
+    return " ".join(words[: 1 + (words[0] in ("sole", "export"))])
+
+
+@pytest.mark.parametrize("command", sorted({leaf(w) for _, w in COMMANDS}))
+def test_help_says_what_a_command_does(command, capsys):
+    with pytest.raises(SystemExit, match=r"^0$"):
+        cli.main([*command.split(), "--help"])
+    usage, told = capsys.readouterr().out.split("\n\n")[:2]
+    assert usage.startswith("usage: drake-exo")
+    words = " ".join(told.split())
+    own = (
+        "Simulate a measurement"
+        if command == "lab"
+        else f"`drake-exo {command}`"
+    )
+    assert words.startswith(own), words
+
+
 _LIGHT = ("contact",)
 
 
