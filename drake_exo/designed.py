@@ -480,7 +480,7 @@ class Designed:
             sentence="the largest force does not fall: give the design "
             "more freedom or wider limits",
         )
-        held = self._hold()
+        held = hold_as_built(self.found, self.after)
         yield Check(
             "design.attached",
             held.stiffness > 0.0,
@@ -588,21 +588,6 @@ class Designed:
         keys = list(units)  # as components are counted
         for k, name, most in limits.of_forces([before[key] for key in keys]):
             yield keys[k], units[keys[k]], name, most
-
-    def _hold(self) -> Hold:
-        """By how much the built cuffs hold the device in the forecast."""
-        design = self.design
-        found = [
-            hold(
-                design.model(w.model),
-                design.contact(w.contact),
-                [m.trial for m in self.after[w.name]],
-                w.springs,
-            )
-            for w in self.found.problem.wearers
-            if w.name in self.after
-        ]
-        return min(found)
 
     def softened(self) -> list[str]:
         """Cuffs that deflect further than in any trial of today."""
@@ -789,6 +774,27 @@ _RESPONSE = {
     "own": "as before (own movement)",
     "free": "as is least effort between the ends of its movement (free)",
 }
+
+
+def hold_as_built(
+    found: DesignResult, after: Mapping[str, Sequence[Moved]]
+) -> Hold:
+    """By how much the built cuffs hold the device in the forecast.
+
+    Args:
+        found: the design.
+        after: wearer -> its movements on it; others are left out.
+    """
+    return min(
+        hold(
+            found.design.model(w.model),
+            found.design.contact(w.contact),
+            [moved.trial for moved in after[w.name]],
+            w.springs,
+        )
+        for w in found.problem.wearers
+        if w.name in after
+    )
 
 
 def forecast_norm(

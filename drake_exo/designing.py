@@ -51,6 +51,7 @@ from drake_exo.designed import (
     Designed,
     Moved,
     forecast_norm,
+    hold_as_built,
     largest_deflection,
     largest_force,
     trial_label,
@@ -148,6 +149,9 @@ def design(
             )
             for w, own in zip(wearers, studies, strict=True)
         }
+        held = hold_as_built(result, moved)
+        if result.problem.without and not held.stiffness > 0.0:
+            raise InputError(f"as built the device would hang loose: {held}")
         return forecast_norm(result, moved)
 
     found, tried = fewer(found, forecast, SolveWatch)

@@ -17,7 +17,7 @@ import drake_exo as dx
 from drake_exo import designed, designing
 from drake_exo.calibration import design_cuffs
 from drake_exo.calibration.design import DesignProblem
-from drake_exo.calibration.design_cuffs import Tried
+from drake_exo.calibration.design_cuffs import Hold, Tried
 from drake_exo.calibration.design_result import device_work
 from drake_exo.calibration.design_variables import Variable
 from drake_exo.calibration.error_model import NO_ERRORS
@@ -267,6 +267,35 @@ def test_a_design_is_replayed_beside_the_device_of_today(found, tmp_path):
         place = np.add(cuff.origin, cuff.preload[:2])
         at = tree.point_positions(moved.trial.q[:1], "exo_thigh", place)[0]
         assert rows[0, [0, 2]] == pytest.approx(at, abs=1e-4)
+
+
+@pytest.mark.slow
+def test_what_would_hang_loose_as_built_is_no_design(study, monkeypatch):
+    """However little its cuffs press; with every cuff the verdict tells it."""
+    seen = []
+
+    def fewer(found, forecast, watch):
+        forecast(found)
+        rival, why_not = design_cuffs._without(found, ("shank",), watch)
+        assert rival is not None, why_not
+        with pytest.raises(InputError, match=r"loose: at exo_knee .* 5\.2 N m"):
+            forecast(rival)
+        seen.append(rival)
+        return found, []
+
+    def as_built(found, after):
+        return Hold(-5.2, "exo_knee")
+
+    monkeypatch.setattr(designing, "fewer", fewer)
+    monkeypatch.setattr(designing, "hold_as_built", as_built)
+    own, contact = study
+    limits = DesignLimits(
+        migration_mm=None, moment_factor=None, effort_factor=None
+    )
+    free = {"shank": CuffFreedom(removable=True)}
+    settings = replace(SETTINGS, limits=limits, cuffs=free)
+    found = dx.design(own, contact.scaled(4.0), settings)
+    assert seen and found.found.problem.without == ()
 
 
 @pytest.mark.slow

@@ -39,6 +39,12 @@ class Hold(NamedTuple):
     stiffness: float
     joint: str
 
+    def __str__(self) -> str:
+        return (
+            f"at {self.joint} its weight pushes it off by "
+            f"{-self.stiffness:.1f} N m/rad more than the cuffs hold it"
+        )
+
 
 def hold(
     model: Model,
@@ -132,7 +138,7 @@ def fewer(
     Args:
         found: with every cuff, solved.
         forecast: norm of the forces on a design as it is built [N]; raises
-            InputError where nobody can move on it.
+            InputError where nobody can move on it, or it hangs loose.
         watch: makes what is called on each iterate, by what is solved.
 
     Returns:
@@ -214,9 +220,5 @@ def looseness(problem: DesignProblem, without: tuple[str, ...]) -> str:
         held = less(wearer, fewer)
         least = hold(held.model, held.contact, held.trials, held.springs)
         if not least.stiffness > 0.0:
-            return (
-                f"the device would hang loose on {wearer.name}: at "
-                f"{least.joint} its weight pushes it off by "
-                f"{-least.stiffness:.1f} N m/rad more than the cuffs hold it"
-            )
+            return f"the device would hang loose on {wearer.name}: {least}"
     return ""
