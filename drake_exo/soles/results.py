@@ -133,13 +133,15 @@ def _notes(step):
         tilt = float(step.tilt_deg[free].max())
         yield (
             "tilt", tilt <= _TILT_DEG, tilt, _TILT_DEG, "°",
-            "the foot leans far over: a small push may tip it",
+            "the foot leans far over: a small push may tip it"
+            if tilt < 90.0
+            else "the foot has turned over: what was found there is no step",
         )  # fmt: skip
         margin = float(np.nanmin(step.stability[free]))
         loose = int(np.sum(step.stability[free] <= 0))
         yield (
             "stability", margin > 0, margin, 0.0, "N/m",
-            f"{loose} samples are not shown to be stable: under a force that "
+            f"samples not shown to be stable: {loose}; under a force that "
             "stays as it is the foot may tip there",
         )  # fmt: skip
     used, limit = step.setup.friction_used, _NEAR_SLIP * step.law.friction

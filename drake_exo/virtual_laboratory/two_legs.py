@@ -179,12 +179,13 @@ def write_movements(
         )
     if movement == "walk" and left_share != 0.5:
         raise InputError(
-            "left_share is of those who stand on both feet; leave it out for "
-            "a walk"
+            "left_share (--left-share) is of those who stand on both feet; "
+            "leave it out for a walk"
         )
     if not 0.1 <= left_share <= 0.9:
         raise InputError(
-            f"left_share is {left_share:g}; give 0.1 to 0.9, as both feet stand"
+            f"left_share (--left-share) is {left_share:g}; give 0.1 to 0.9, as "
+            "both feet stand"
         )
     if trials < 1 or seed < 0:
         raise InputError("give at least one trial, and a seed from 0 on")
