@@ -33,6 +33,7 @@ from drake_exo.files.output import (
     stored,
     write_json,
 )
+from drake_exo.measurement.exoskeleton import spring_stiffness
 from drake_exo.measurement.settings import Use
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.figures import front_figure
@@ -211,7 +212,8 @@ def inputs(study: Study, use: Use, settings, contact=None, **more) -> str:
         study: with its trials of the use.
         use: calibration or prediction.
         settings: of the phase; those of Phase A count as well, and of a
-            prediction those of Phase B, which find its clocks.
+            prediction those of Phase B, which find its clocks, and springs
+            of the device.
         contact: that was known before.
         more: whatever else counts, by name.
     """
@@ -219,7 +221,8 @@ def inputs(study: Study, use: Use, settings, contact=None, **more) -> str:
     known = contact and [contact.values(), contact.posterior]
     said = [study.foot_ground, settings]
     if use == "prediction":
-        said.append(study.interaction)
+        springs = spring_stiffness(study.device, study.model.coordinates)
+        said += [study.interaction, springs]
     return checksum([use, study.model, said, study.sole, trials, known, more])
 
 

@@ -17,11 +17,13 @@ from drake_exo.calibration.results import (
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.calibration.solving import read_checkpoint
 from drake_exo.cli import main
+from drake_exo.cli.calibrate import inputs
 from drake_exo.cli.predict import _summary, write_predictions
 from drake_exo.contact.parameters import Posterior, nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.output import prepare_output_folder, read_json
 from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.settings import Device, JointDrive
 from drake_exo.study import Prediction, Study
 from drake_exo.virtual_laboratory import synthetic
 
@@ -66,6 +68,19 @@ def test_what_is_complete_is_not_begun_again(
     assert main([*again, "--out", str(out)]) == 2
     assert "another study or other settings" in capsys.readouterr().err
     assert (out / "summary.json").read_bytes() == before
+
+
+def test_springs_tell_predictions_apart():
+    """Those of moments that were measured, too: `--resume` keeps neither."""
+    made = synthetic.rises_in_device(1, nodes_per_second=20)
+    uses, found = ("calibration", "prediction"), []
+    for stiffness in (0.0, 60.0):
+        knee = JointDrive(stiffness_nm_rad=stiffness)
+        study = Study(made.model, made.trials, device=Device(knee=knee))
+        found.append(
+            [inputs(study, use, study.prediction, made.contact) for use in uses]
+        )
+    assert [a == b for a, b in zip(*found, strict=True)] == [True, False]
 
 
 @pytest.mark.slow
