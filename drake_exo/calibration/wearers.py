@@ -23,6 +23,7 @@ from drake_exo.calibration.problem import (
     Answer,
     PhaseProblem,
     ground_terms,
+    has_encoders,
     kinematic_terms,
     solved,
     torque_terms,
@@ -232,8 +233,13 @@ def _found(contact: ContactModel | None, error: str, joints) -> np.ndarray:
 
 
 def _device_angles(trial: Trial, contact: ContactModel | None) -> np.ndarray:
-    """True angles (n, m) of the device's joints [rad]."""
+    """True angles (n, m) of the device's joints [rad].
+
+    Without encoders they are the person's, and no encoder is off.
+    """
     names = trial.coordinates
+    if not has_encoders(trial):
+        return trial.q[:, names.device_columns]
     off = _found(contact, "encoder", names.device)
     return trial.q[:, names.device_columns] - off
 

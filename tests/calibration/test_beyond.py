@@ -85,12 +85,15 @@ def test_a_controller_acts_at_true_angles(wearer):
     contact = replace(wearer.contact, posterior=known)
     spring = Gains(1.0, 0.0, 8.0, 0.0)
     design = Design(gains={"exo_knee": spring, "exo_hip": spring})
-    changed = assisted(own, design, contact, passive=0.7)
-    for joint, off in (("exo_knee", 0.05), ("exo_hip", -0.02)):
-        more = -8.0 * (own.coordinate(joint) - off)
-        np.testing.assert_allclose(
-            changed.moment(joint) - own.moment(joint), more
-        )
+    # Without encoders angles are the person's.
+    taken = replace(own, provenance={"exoskeleton_angles": "the person's"})
+    for trial, share in ((own, 1.0), (taken, 0.0)):
+        changed = assisted(trial, design, contact, passive=0.7)
+        for joint, off in (("exo_knee", 0.05), ("exo_hip", -0.02)):
+            more = -8.0 * (own.coordinate(joint) - share * off)
+            np.testing.assert_allclose(
+                changed.moment(joint) - own.moment(joint), more
+            )
     half = Design(gains={"exo_hip": Gains(0.5)})
     changed = assisted(own, half, contact, passive=0.7)
     # Friction is there whatever the drive gives.
