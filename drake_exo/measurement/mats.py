@@ -32,7 +32,13 @@ from drake_exo.files.tables import (
     uniform_time,
 )
 from drake_exo.measurement.filters import check_filterable
-from drake_exo.measurement.settings import Filter, Mat, PressureFile, Scan
+from drake_exo.measurement.settings import (
+    Axes,
+    Filter,
+    Mat,
+    PressureFile,
+    Scan,
+)
 from drake_exo.model.assembly import SIDES
 
 # A body or a part of it, largest extent [m].
@@ -109,16 +115,16 @@ def read_surface(path: Path, scan: Scan) -> Surface:
             f"{path}: is no scan that can be read; give one of "
             f"{', '.join(_SUFFIXES)}"
         )
-    return _surface(path, scan)
+    return _surface(path, scan.unit, scan.axes)
 
 
 @kept(8)  # every trial asks for those of all mats
-def _surface(path: Path, scan: Scan) -> Surface:
+def _surface(path: Path, unit: str, axes: Axes) -> Surface:
     raw, triangles = read_cells(path, "triangle", "export it again")
     if len(triangles) == 0:
         raise InputError(f"{path}: holds no triangles; export a mesh")
-    check_size(path, raw[np.unique(triangles)], scan.unit)
-    points = LENGTHS[scan.unit] * raw @ scan.axes.frame.R_PL.T
+    check_size(path, raw[np.unique(triangles)], unit)
+    points = LENGTHS[unit] * raw @ axes.frame.R_PL.T
     return _outwards(Surface(points, triangles, str(path)))
 
 
