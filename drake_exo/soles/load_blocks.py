@@ -51,7 +51,7 @@ class OneFoot:
         """Read it."""
         path = root / self.file
         head, *lines = text_lines(path) or [""]
-        if head.strip() and not head.strip("0123456789.+-eE \t"):
+        if len(head.split()) >= 8 and not head.strip("0123456789.+-eE \t"):
             raise InputError(
                 f"{path}:1: holds numbers where the columns are named; put a "
                 "line of names before them"

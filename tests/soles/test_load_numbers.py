@@ -248,6 +248,11 @@ def test_the_authors_file_of_one_foot(tmp_path):
     _written(tmp_path / "foot.txt", [], table)
     with pytest.raises(InputError, match=r"foot\.txt:1: holds numbers where"):
         OneFoot("foot.txt", (0.3, 0.4), 2, 3).load(tmp_path)
+    table[4, 3] = 0.5
+    for count in ("9", "--------"):  # rows, or a line
+        _written(tmp_path / "foot.txt", [count], table)
+        again = OneFoot("foot.txt", (0.3, 0.4), 2, 3).load(tmp_path)
+        np.testing.assert_allclose(again.times, load.times)
 
 
 def test_a_table_of_several_loads(tmp_path, load):
