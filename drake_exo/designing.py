@@ -123,8 +123,9 @@ def design(
         for name, own, contact in zip(names, studies, contacts, strict=True)
     ]
     check_wearers(worn, settings)  # told before minutes of solving
-    for who in worn if settings.population is not None else ():
-        check_population(who)
+    if settings.population is not None:
+        for who in worn:
+            check_population(who)
     before, wearers = {}, []
     for own, who in zip(studies, worn, strict=True):
         own.warn_of(who.trials)

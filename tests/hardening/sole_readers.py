@@ -44,6 +44,7 @@ def _history(path, mesh):
         R=np.tile(np.eye(3), (n, 1, 1)),
         P=np.tile(mesh.nodes[mesh.contact], (n, 1, 1)),
         K_c=np.tile(np.eye(6), (n, 1, 1)),
+        friction=0.8,
     )
     write_history(path, mesh, np.arange(n) / 100.0, samples)
 

@@ -138,7 +138,7 @@ def test_pose_and_stability_are_of_what_converged_and_is_free():
     loose = _told(stability=np.array([-5.0, 0.0, np.nan]))
     check = loose["plausibility.stability"]
     assert not check.holds and check.value == -5.0
-    assert check.sentence.startswith("2 samples")
+    assert check.sentence.startswith("samples not shown to be stable: 2;")
     both = _told(measured=np.array([False, True, True]), zmp_error=0.021)
     assert both["plausibility.tilt"].value == 5.0
     assert not both["plausibility.zmp"].holds

@@ -327,9 +327,9 @@ def _with_walk(setup: Setup, design: Design, found: Found) -> Design:
     """
     gait = setup.gait
     at = replace(found.at, p=found.at.alone)
-    of = Found([], at) if found.alone is None else found.alone
-    of.at = replace(at, strain_scale=of.at.strain_scale)
-    alone = _verified(in_own_walk(setup), of)
+    of = found.alone or Found([], at)
+    at = replace(at, strain_scale=of.at.strain_scale)
+    alone = _verified(in_own_walk(setup), replace(of, at=at))
     own = alone.step
 
     def rank(one: Design):
