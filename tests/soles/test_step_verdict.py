@@ -135,6 +135,9 @@ def test_pose_and_stability_are_of_what_converged_and_is_free():
     assert "plausibility.zmp" not in free
     lean = _told(tilt_deg=np.array([20.1, 1.0, 0.0]))["plausibility.tilt"]
     assert not lean.holds and lean.value == 20.1
+    assert "leans" in lean.sentence
+    over = _told(tilt_deg=np.array([178.0, 1.0, 0.0]))["plausibility.tilt"]
+    assert not over.holds and "turned over" in over.sentence
     loose = _told(stability=np.array([-5.0, 0.0, np.nan]))
     check = loose["plausibility.stability"]
     assert not check.holds and check.value == -5.0
