@@ -244,6 +244,12 @@ def _device_angles(trial: Trial, contact: ContactModel | None) -> np.ndarray:
     return trial.q[:, names.device_columns] - off
 
 
+def _is_modelled(trial: Trial) -> bool:
+    """Whether the study's device gives the device's moments of a trial."""
+    source = trial.provenance.get("moments", {}).get("exoskeleton", "")
+    return "device model" in source
+
+
 def assisted(
     trial: Trial,
     design: Design,
@@ -335,9 +341,8 @@ class Wearer:
         bears nothing of itself: springs and rotors are no drives.
         """
         given = trial.moments[:, trial.coordinates.is_device_joint]
-        source = trial.provenance.get("moments", {}).get("exoskeleton", "")
-        modelled = self.device is not None and "device model" in source
-        if modelled and not self.device.carries_itself:
+        by_model = self.device is not None and _is_modelled(trial)
+        if by_model and not self.device.carries_itself:
             return np.zeros(given.shape)
         return given - self.passive(trial)
 
@@ -395,7 +400,9 @@ def springs_answer(
     if not springs.any():
         return None
     slope = np.tile(np.diag(-springs), (len(trial.times), 1, 1))
-    there = -springs * _device_angles(trial, contact)
+    # Moments of the study's device are those at angles as they were recorded.
+    known = None if _is_modelled(trial) else contact
+    there = -springs * _device_angles(trial, known)
     return Answer(trial.times, slope, there)
 
 

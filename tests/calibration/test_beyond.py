@@ -17,10 +17,11 @@ from drake_exo.calibration.wearers import (
     assisted,
     posture_law,
     posture_slope,
+    springs_answer,
 )
 from drake_exo.contact.parameters import Posterior
 from drake_exo.contact.strap import Assistance, Design, Gains
-from drake_exo.measurement.settings import Device
+from drake_exo.measurement.settings import Device, JointDrive
 from drake_exo.model.plant import nominal_model
 
 
@@ -99,6 +100,24 @@ def test_a_controller_acts_at_true_angles(wearer):
     # Friction is there whatever the drive gives.
     expected = 0.5 * (own.moment("exo_hip") - 0.7) + 0.7
     np.testing.assert_allclose(changed.moment("exo_hip"), expected)
+
+
+def test_a_springs_torque_is_as_its_moments_were_made(wearer):
+    """At true angles as recorded; the device's model took the encoders'."""
+    (own,) = wearer.trials
+    known = Posterior(("encoder.exo_knee",), np.array([0.05]), 1e-6 * np.eye(1))
+    contact = replace(wearer.contact, posterior=known)
+    device = Device(knee=JointDrive(stiffness_nm_rad=60.0))
+    k = own.coordinates.device.index("exo_knee")
+    for source, off in (("recorded", 0.05), ("device model", 0.0)):
+        said = {"moments": {"exoskeleton": source}}
+        found = springs_answer(replace(own, provenance=said), contact, device)
+        assert (found.slope[:, k, k] == -60.0).all()
+        np.testing.assert_allclose(
+            found.there[:, k], -60.0 * (own.coordinate("exo_knee") - off)
+        )
+        assert not np.delete(found.there, k, axis=1).any()
+    assert springs_answer(own, contact, None) is None
 
 
 # Torque of knee and hip by the sine of the links' inclinations [N m].
