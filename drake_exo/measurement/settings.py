@@ -6,6 +6,7 @@ Paths stay as the file says them, so that nothing that is written later depends
 on the machine.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -220,12 +221,16 @@ class PressureFile:
     mats: tuple[str, ...]
 
     def __post_init__(self):
-        for name in self.mats:
-            if self.mats.count(name) > 1:
-                raise InputError(
-                    f"pressure.mats names {name} more than once, and its force "
-                    "would count as often; name it once"
-                )
+        _once(self.mats, "pressure.mats names {} more than once, and its force")
+
+
+def _once(names: Sequence, told: str) -> None:
+    """Refuse a name that is there again; `told` begins to say so of it."""
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"{told.format(name)} would count as often; name it once"
+            )
 
 
 @dataclass(frozen=True)
@@ -316,13 +321,8 @@ class SidedMarkers:
 
     def __post_init__(self):
         for side in (*SIDES, "middle"):
-            names = getattr(self, side)
-            for name in names:
-                if names.count(name) > 1:
-                    raise InputError(
-                        f"{side} names the marker {name!r} more than once, and "
-                        "it would count as often; name it once"
-                    )
+            told = side + " names the marker {!r} more than once, and it"
+            _once(getattr(self, side), told)
 
     def of(self, side: Side) -> tuple[str, ...]:
         """The names on one side."""
@@ -395,12 +395,8 @@ class Plates:
                 raise InputError(
                     f"{side} names no plate; name one, or leave {side} out"
                 )
-            for plate in self.of(side):
-                if self.of(side).count(plate) > 1:
-                    raise InputError(
-                        f"{side} names plate {plate} more than once, and its "
-                        "force would count as often; name it once"
-                    )
+            told = side + " names plate {} more than once, and its force"
+            _once(self.of(side), told)
         twice = set(self.of("left")) & set(self.of("right"))
         if twice:
             plate = min(twice)
@@ -615,12 +611,7 @@ class TrialFiles:
                     f"{'starts' if key == 'from' else 'ends'}; leave one out"
                 )
         mats = [name for file in self.pressure for name in file.mats]
-        for name in mats:
-            if mats.count(name) > 1:
-                raise InputError(
-                    f"pressure names {name} in two files, and its force would "
-                    "count as often; name it once"
-                )
+        _once(mats, "pressure names {} in two files, and its force")
         if self.seated_s > 0.0 and self.rise is None:
             raise InputError("seated_s counts back from a rise; name it")
         if self.seated_s > 0.0 and self.plates.chair is None:
