@@ -150,9 +150,12 @@ def design(
             )
             for w, own in zip(wearers, studies, strict=True)
         }
-        held = hold_as_built(result, moved)
-        if result.problem.without and not held.stiffness > 0.0:
-            raise InputError(f"as built the device would hang loose: {held}")
+        if result.problem.without:
+            held = hold_as_built(result, moved)
+            if not held.stiffness > 0.0:
+                raise InputError(
+                    f"as built the device would hang loose: {held}"
+                )
         return forecast_norm(result, moved)
 
     found, tried = fewer(found, forecast, SolveWatch)
@@ -320,17 +323,17 @@ def movements(
     progress = Progress("own movements", len(trials))
     for k, trial in enumerate(trials):
         if today is None:
-            answers = springs_answer(trial, contact, study.device)
+            more = springs_answer(trial, contact, study.device)
         else:
             who, own = today
-            answers = answer(trial, who, own[k].trial, design)
+            more = answer(trial, who, own[k].trial, design)
         result = solved(
             OwnMovement(
                 design.model(study.model),
                 [_assisted(study, trial, contact, design)],
                 built,
                 phase,
-                answers=answers and {trial.name: answers},
+                answers={trial.name: more},
             ),
             f"trial {trial.name}: the movement does not fit these cuffs",
         )

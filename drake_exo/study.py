@@ -1074,8 +1074,7 @@ def predict(
         settings, PredictionSettings, "settings", study.prediction
     )
     kind = PeriodicStep if settings.ends == "periodic" else PredictionProblem
-    springs = springs_answer(trial, scaled, study.device)
-    answers = {} if springs is None else {trial.name: springs}
+    answers = {trial.name: springs_answer(trial, scaled, study.device)}
 
     def pose(refined):
         return kind(

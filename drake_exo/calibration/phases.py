@@ -346,7 +346,7 @@ class PredictionProblem(PhaseProblem):
         settings: PredictionSettings | None = None,
         *,
         controller: System | None = None,
-        answers: Mapping[str, Answer] | None = None,
+        answers: Mapping[str, Answer | None] | None = None,
         refined: Mapping[str, Parts] | None = None,
     ):
         check_type(model, Model, "model")

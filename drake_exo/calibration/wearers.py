@@ -87,7 +87,7 @@ class OwnMovement(PhaseProblem):
         settings: PredictionSettings | None = None,
         *,
         seen: bool = False,
-        answers: Mapping[str, Answer] | None = None,
+        answers: Mapping[str, Answer | None] | None = None,
     ):
         check_has_cuffs(model)
         self._seen = seen

@@ -55,7 +55,7 @@ class Samples:
     cop: np.ndarray
     size: np.ndarray
     middle: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    friction: float = 0.8
+    friction: float = SimbodyConstants.static_friction
 
     @property
     def loaded(self) -> np.ndarray:
@@ -71,7 +71,9 @@ class Samples:
         return float(max(-lowest.min(), 1e-6))
 
 
-def softened(share: float, friction: float = 0.8) -> SimbodyConstants:
+def softened(
+    share: float, friction: float = SimbodyConstants.static_friction
+) -> SimbodyConstants:
     """The law's constants for a contact that gives a share of the usual depth.
 
     The defaults are for a heel pad that gives a centimetre: smoothing is in
