@@ -99,62 +99,55 @@ def run(args: argparse.Namespace) -> int:
     if "all" in off:
         off |= set(DISTURBANCES) - {"variation"}
     active = [name for name in DISTURBANCES if name not in off]
-    if args.model is not None:
-        return _described(args, active)
-    if args.movement != MOVEMENTS[0] or args.left_share != 0.5:
+    shipped = args.model is None
+    _check(args, shipped)
+    trials = args.trials
+    if trials is None:
+        trials = NUM_USED if shipped else 3
+    design = None if args.design is None else read_design(args.design)
+    with prepare_output_folder(
+        args.out, args.force, reads=[args.design, args.model]
+    ) as folder:
+        if shipped:
+            write_campaign(
+                folder,
+                args.seed,
+                active,
+                trials,
+                full=args.full,
+                files=args.files,
+                truth=args.truth or KINDS[0],
+                processes=max(min(args.jobs, trials), 1),
+                design=design,
+            )
+        else:
+            write_movements(
+                folder,
+                args.model,
+                args.movement,
+                args.seed,
+                active,
+                trials,
+                left_share=args.left_share,
+                files=args.files,
+            )
+    several = "s" * (trials != 1)
+    print(f"wrote {args.out}/study.yaml with {trials} trial{several}")
+    return 0
+
+
+def _check(args: argparse.Namespace, shipped: bool) -> None:
+    """Refuse options that are of the other kind of person, or of none."""
+    if not shipped:
+        if args.full or args.design is not None or args.truth is not None:
+            raise InputError(
+                "--full, --truth and --design are of the shipped exoskeleton; "
+                "leave them out, or --model"
+            )
+    elif args.movement != MOVEMENTS[0] or args.left_share != 0.5:
         raise InputError(
             "--movement and --left-share are of a person of two legs; give "
             "--model FILE"
         )
-    if args.full and args.trials is not None:
+    elif args.full and args.trials is not None:
         raise InputError("--full records all movements; leave out --trials")
-    trials = NUM_USED if args.trials is None else args.trials
-    design = None if args.design is None else read_design(args.design)
-    with prepare_output_folder(
-        args.out, args.force, reads=[args.design]
-    ) as folder:
-        study = write_campaign(
-            folder,
-            args.seed,
-            active,
-            trials,
-            full=args.full,
-            files=args.files,
-            truth=args.truth or KINDS[0],
-            processes=max(min(args.jobs, trials), 1),
-            design=design,
-        )
-        name = study.name
-    _told(args, name, trials)
-    return 0
-
-
-def _told(args: argparse.Namespace, name: str, trials: int) -> None:
-    several = "s" * (trials != 1)
-    print(f"wrote {args.out}/{name} with {trials} trial{several}")
-
-
-def _described(args: argparse.Namespace, active: list[str]) -> int:
-    """Write trials of a person and a device from a file."""
-    if args.full or args.design is not None or args.truth is not None:
-        raise InputError(
-            "--full, --truth and --design are of the shipped exoskeleton; "
-            "leave them out, or --model"
-        )
-    trials = 3 if args.trials is None else args.trials
-    with prepare_output_folder(
-        args.out, args.force, reads=[args.model]
-    ) as folder:
-        study = write_movements(
-            folder,
-            args.model,
-            args.movement,
-            args.seed,
-            active,
-            trials,
-            left_share=args.left_share,
-            files=args.files,
-        )
-        name = study.name
-    _told(args, name, trials)
-    return 0

@@ -3,7 +3,7 @@
 Its study file says no more than a real laboratory would know.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,18 +24,24 @@ from drake_exo.virtual_laboratory.instruments import (
     Clocks,
     Faults,
     Laboratory,
+    MatDesign,
     draw_faults,
     drawn_clocks,
     empty_plate_levels,
     marker_set,
     mats_on,
-    record_pressure,
     slides,
     study_markers,
     write_scans,
 )
-from drake_exo.virtual_laboratory.plan import Planner, Posture, RisePlan
-from drake_exo.virtual_laboratory.simulation import PASSIVE, RATE_HZ, simulate
+from drake_exo.virtual_laboratory.plan import (
+    Friction,
+    Planner,
+    Posture,
+    Reference,
+    RisePlan,
+)
+from drake_exo.virtual_laboratory.simulation import RATE_HZ, simulate
 from drake_exo.virtual_laboratory.truth import (
     DISTURBANCES,
     KINDS,
@@ -81,12 +87,16 @@ def write_study(
     """
     study = {
         **recording_sections(truth, laboratory, _model(truth), PLATES),
-        "device": _device(truth, laboratory.faults.friction_share),
+        "device": {
+            "encoder_legs": "both",
+            "moment_legs": "both",
+            **device_section(
+                LEG_JOINTS, truth.friction, laboratory.faults.friction_share
+            ),
+        },
         "mats": mats,
         "trials": trials,
-        "foot_ground": foot_ground_section(),
-        "interaction": interaction_section(),
-        "prediction": prediction_section(),
+        **phase_sections(),
     }
     write_yaml(path, "A virtual subject in the exoskeleton stands up.", study)
 
@@ -173,20 +183,39 @@ def _laboratory(laboratory: Laboratory) -> dict:
     return section
 
 
-def _device(truth: Truth, found: tuple[float, ...]) -> dict:
-    friction = truth.friction
-    section: dict = {"encoder_legs": "both", "moment_legs": "both"}
-    for i, joint in enumerate(LEG_JOINTS):
-        section[joint] = {
-            "viscous_nm_s": found[i] * friction.viscous[i],
-            "coulomb_nm": found[i] * friction.coulomb[i],
+def device_section(
+    joints: Iterable[str], friction: Friction, found: Iterable[float]
+) -> dict:
+    """Joint -> its friction, as far as a bench found it.
+
+    Args:
+        joints: as the study calls them.
+        friction: of them.
+        found: share of each.
+    """
+    rows = zip(joints, friction.viscous, friction.coulomb, found, strict=True)
+    return {
+        joint: {
+            "viscous_nm_s": share * viscous,
+            "coulomb_nm": share * dry,
             "coulomb_speed_rad_s": friction.speed,
         }
-    return section
+        for joint, viscous, dry, share in rows
+    }
 
 
-def foot_ground_section(legs: int = 1) -> dict:
-    """Settings of the first phase; nominal values are not the truth.
+def phase_sections(legs: int = 1) -> dict:
+    """Settings of the three phases; nominal values are not the truth.
+
+    Weights of the second: a device that moves nobody has the moments of its
+    own friction; with the share of it that is unknown they are right to
+    0.1 N m.
+
+    The third tracks no kinematics but ends. Those of the person are a degree
+    off: what skin does there that the error model does not know would set the
+    device swinging. Contact energy weighs as little as in the second: at a
+    tenth of a joule the person bends by degrees to spare the cuffs what they
+    bear.
 
     Args:
         legs: that move on their own, each with soles of its own.
@@ -201,36 +230,19 @@ def foot_ground_section(legs: int = 1) -> dict:
             "z_m": {"below": 0.015, "above": 0.015},
         }
 
-    return {
-        "law": "simbody",
-        "heel": sphere(),
-        "toe": sphere(),
-        "noise": dict(_NOISE),
-        "solver": {"nodes_per_second": 100.0},
-    }
-
-
-def interaction_section() -> dict:
-    """Weights of the second phase.
-
-    A device that moves nobody has the moments of its own friction: with the
-    share of it that is unknown they are right to 0.1 N m.
-    """
     own = {"exo_angle_deg": 0.1, "exo_velocity_deg_s": 1.0}
     forces = _FORCE_NOISE | {"exo_moment_nm": 0.1}
-    return {"noise": {**_NOISE, **own, **forces}}
-
-
-def prediction_section() -> dict:
-    """Weights of the third phase, which tracks no kinematics but ends.
-
-    Ends of the person are a degree off: what skin does there that the error
-    model does not know would set the device swinging.
-
-    Contact energy weighs as little as in the second: at a tenth of a joule
-    the person bends by degrees to spare the cuffs what they bear.
-    """
-    return {"noise": {**_NOISE, **_FORCE_NOISE, "angle_deg": 1.0}}
+    return {
+        "foot_ground": {
+            "law": "simbody",
+            "heel": sphere(),
+            "toe": sphere(),
+            "noise": dict(_NOISE),
+            "solver": {"nodes_per_second": 100.0},
+        },
+        "interaction": {"noise": {**_NOISE, **own, **forces}},
+        "prediction": {"noise": {**_NOISE, **_FORCE_NOISE, "angle_deg": 1.0}},
+    }
 
 
 FILES = ("c3d", "opensim")
@@ -307,7 +319,7 @@ def trial_section(
         movement: in the assisting device it is predicted, and has moments.
         start_s, end_s: used part.
     """
-    mats = mats_on(laboratory.tree.cuffs, movement.configuration)
+    mats = mats_on(laboratory.model.tree.cuffs, movement.configuration)
     name, assisted = movement.name, movement.mode == "assisted"
     pressure = {"file": f"{name}.asc", "mats": [mat.name for mat in mats]}
     trial = {
@@ -414,13 +426,12 @@ def write_campaign(
         )
     active = checked(disturbances) - (set() if truth == "wide" else set(WIDE))
     job = Campaign(Path(folder), seed, active, files, truth, design)
-    (job.folder / "truth").mkdir(parents=True, exist_ok=True)
     progress = Progress(
         "virtual laboratory", len(movements), interval_seconds=2.0
     )
     mats = job.prepare(progress)
     entries = _recorded(job, movements, processes, progress)
-    path = job.folder / "study.yaml"
+    path = Path(folder) / "study.yaml"
     write_study(path, job.truth, job.laboratory, mats, entries)
     return path
 
@@ -481,16 +492,96 @@ def record(job: "Campaign", movement: Repetition) -> dict:
     return job.record(movement)
 
 
-class Campaign:
-    """One subject in one laboratory; every movement stands for itself.
+class Session:
+    """A subject in a laboratory, whose movements stand for themselves.
 
     Args:
-        folder: where files go.
         seed: of all random numbers.
-        active: disturbances.
-        files: "c3d" or "opensim".
-        kind: of truth.
-        design: what is built; what there is if None.
+        truth: the subject.
+        planner: of its movements.
+        mats: on it.
+        about: what files of the truth say of the session.
+        equipment: of `Laboratory`, what is not drawn here, by name.
+    """
+
+    first_key = 0  # of its random numbers, which no other kind has
+
+    def __init__(
+        self,
+        seed: int,
+        truth: Truth,
+        planner: Planner,
+        mats: Sequence[MatDesign],
+        about: dict,
+        **equipment,
+    ):
+        self.seed, self.truth, self.planner = seed, truth, planner
+        self.mats, self.about = mats, about
+        human, rng = truth.model.assembly.human, self.rng(1)
+        markers = marker_set(truth.human, human.sides)
+        self.laboratory = Laboratory(
+            model=truth.model,
+            markers=markers,
+            slide=slides(markers, rng),
+            offsets={place: empty_plate_levels(rng) for place in PLATES},
+            **equipment,
+        )
+
+    def rng(self, what: int, *key: int) -> np.random.Generator:
+        """Random numbers of their own for everything that is drawn."""
+        return np.random.default_rng([self.seed, self.first_key + what, *key])
+
+    def standing(self) -> Reference:
+        """The plan of quiet standing."""
+        return self.planner.standing(_STANDING_S, STANDING_COP_M)
+
+    def prepare(self, progress: Progress | None = None) -> dict[str, dict]:
+        """Quiet standing, empty plates, body scan and true parameters.
+
+        Returns:
+            The section `mats` of the study.
+        """
+        laboratory, rng = self.laboratory, self.rng(2)
+        folder, truth = laboratory.folder, laboratory.folder / "truth"
+        truth.mkdir(parents=True, exist_ok=True)
+        plan = self.standing()
+        standing = simulate("standing", self.truth, plan, progress=progress)
+        laboratory.record_motion(standing, rng, hidden=False)
+        laboratory.record_empty(rng)
+        write_happened(truth, standing)
+        write_parameters(truth, self.truth, self.about)
+        return write_scans(folder, self.truth.model, standing.q[-1], self.mats)
+
+    def measure(
+        self,
+        happened: Trial,
+        rng: np.random.Generator,
+        mats: Sequence[MatDesign],
+        clocks: Clocks | None = None,
+        with_moments: bool = False,
+    ) -> None:
+        """Write what instruments say of a movement, and what is true.
+
+        Args:
+            happened: the movement.
+            rng: of its measurement.
+            mats: that are used.
+            clocks: of the device and the mats; drawn if None.
+            with_moments: whether the device tells its moments.
+        """
+        laboratory = self.laboratory
+        laboratory.record_motion(happened, rng)
+        if happened.coordinates.device:
+            clocks = clocks or drawn_clocks(rng, laboratory.disturbances)
+            laboratory.record_device(happened, clocks, with_moments, rng)
+            laboratory.record_pressure(happened, mats, clocks.mats)
+        write_happened(laboratory.folder / "truth", happened, clocks)
+
+
+class Campaign(Session):
+    """A session of one who stands up in the shipped exoskeleton.
+
+    Arguments are those of `write_campaign`, checked.
     """
 
     def __init__(
@@ -502,61 +593,35 @@ class Campaign:
         kind: str,
         design: Design | None = None,
     ):
-        self.folder = folder
         self.seed = seed
-        self.active = active
-        self.kind = kind
-        self.truth: Truth = draw_truth(self._rng(0), active, kind)
+        truth = draw_truth(self.rng(0), active, kind)
         # Faults are those of the laboratory, whatever is built.
         faults = (
             Faults()
             if kind == "near"
-            else draw_faults(self._rng(5), active, self.truth.cuffs)
+            else draw_faults(self.rng(5), active, truth.cuffs)
         )
-        if design is not None:
-            self.truth = wearing(self.truth, design)
-        model = self.truth.model
-        self.planner = Planner(model.rigid.tree, self.truth.contact)
-        markers, rng = marker_set(self.truth.human), self._rng(1)
-        self.laboratory = Laboratory(
-            folder,
-            model.tree,
-            files,
-            markers,
-            slides(markers, rng),
-            {place: empty_plate_levels(rng) for place in PLATES},
-            active,
-            faults,
-        )
-
-    def _rng(self, *key: int) -> np.random.Generator:
-        return np.random.default_rng([max(self.seed, 0), *key])
-
-    def prepare(self, progress: Progress | None = None) -> dict[str, dict]:
-        """Quiet standing, empty plates, body scan and true parameters.
-
-        Returns:
-            The section `mats` of the study.
-        """
-        plan = self.planner.standing(_STANDING_S, STANDING_COP_M)
-        standing = simulate("standing", self.truth, plan, progress=progress)
-        rng = self._rng(2)
-        self.laboratory.record_motion(standing, rng, hidden=False)
-        self.laboratory.record_empty(rng)
-        truth = self.folder / "truth"
-        write_happened(truth, standing)
         about = {
-            "seed": self.seed,
-            "truth": self.kind,
-            "disturbances": self.active,
-            "faults": self.laboratory.faults,
+            "seed": seed,
+            "truth": kind,
+            "disturbances": active,
+            "faults": faults,
         }
-        if self.truth.design != Design():
-            about["design"] = self.truth.design
-        write_parameters(truth, self.truth, about)
-        there = self.truth.cuffs
-        mats = [m for of in _CONFIGURATIONS for m in mats_on(there, of)]
-        return write_scans(self.folder, self.truth.model, standing.q[-1], mats)
+        if design is not None:
+            truth = wearing(truth, design)
+        if truth.design != Design():
+            about["design"] = truth.design
+        super().__init__(
+            seed,
+            truth,
+            Planner(truth.model.rigid.tree, truth.contact),
+            [m for of in _CONFIGURATIONS for m in mats_on(truth.cuffs, of)],
+            about,
+            folder=folder,
+            files=files,
+            disturbances=active,
+            faults=faults,
+        )
 
     def record(
         self,
@@ -565,9 +630,9 @@ class Campaign:
         done: int | None = None,
     ) -> dict:
         """Simulate a movement, write its files; what the study says of it."""
-        plan = RisePlan()
-        if "variation" in self.active:
-            plan = vary(plan, self._rng(3, *movement.key))
+        plan, laboratory = RisePlan(), self.laboratory
+        if "variation" in laboratory.disturbances:
+            plan = vary(plan, self.rng(3, *movement.key))
         seat = self.planner.seat(plan)
         assisted = movement.mode == "assisted"
         happened = simulate(
@@ -575,35 +640,19 @@ class Campaign:
             self.truth,
             self.planner.rise(plan, seat),
             seat,
-            _HELP if assisted else PASSIVE,
+            _HELP if assisted else (),
             (plan.quiet_s + plan.lean_s + _AFTER_CHAIR_S, _rise_end(plan)),
             progress,
             done,
         )
-        self._measure(happened, movement)
-        rng = self._rng(6, *movement.key)
-        noisy = self.laboratory.faults.noisy_windows
+        rng = self.rng(4, *movement.key)
+        clocks = drawn_clocks(rng, laboratory.disturbances)
+        mats = mats_on(self.truth.cuffs, movement.configuration)
+        self.measure(happened, rng, mats, clocks, assisted)
+        rng = self.rng(6, *movement.key)
+        noisy = laboratory.faults.noisy_windows
         start, end = _window(happened, plan, rng if noisy else None)
-        return trial_section(self.laboratory, movement, start, end)
-
-    def _measure(self, happened: Trial, movement: Repetition) -> None:
-        rng = self._rng(4, *movement.key)
-        clocks = drawn_clocks(rng, self.active)
-        self.laboratory.record_motion(happened, rng)
-        self.laboratory.record_device(
-            happened, clocks, movement.mode == "assisted", rng
-        )
-        record_pressure(
-            self.folder / f"{movement.name}.asc",
-            happened,
-            mats_on(self.truth.cuffs, movement.configuration),
-            clocks.mats,
-            self.truth.model,
-            "pressure_steps" in self.active,
-            self.laboratory.faults.left_share,
-            self.laboratory.faults.mat_share,
-        )
-        write_happened(self.folder / "truth", happened, clocks)
+        return trial_section(laboratory, movement, start, end)
 
 
 def write_happened(

@@ -14,6 +14,7 @@ from pydrake.systems.framework import LeafSystem
 
 from drake_exo.contact.bushing import (
     BushingParameters,
+    BushingWrench,
     Components,
     bushing_deflection,
     bushing_force,
@@ -84,6 +85,21 @@ def cuff_force(cuff: Cuff, deflection, rate) -> Components:
     )
 
 
+def _exchanged(cuff: Cuff, poses, motions) -> tuple[Components, BushingWrench]:
+    """Force of a cuff on the human, by its components and in the world.
+
+    Args:
+        cuff: the law.
+        poses, motions: of human and device, as `bushing_deflection` has them.
+    """
+    law = cuff.bushing
+    deflection, rate = bushing_deflection(
+        poses[0], motions[0], poses[1], motions[1], law.origin, law.preload
+    )
+    force = cuff_force(cuff, deflection, rate)
+    return force, bushing_wrench(force, *poses, law.origin, law.preload)
+
+
 class Cuffs(LeafSystem):
     """Cuffs for a diagram: `build_diagram(..., forces=[Cuffs(...)])`.
 
@@ -112,17 +128,8 @@ class Cuffs(LeafSystem):
         entries = []
         for pair, cuff in zip(self._pairs, self._cuffs, strict=True):
             links = human, device = next(states), next(states)
-            poses, law = planar_poses(human, device), cuff.bushing
-            deflection, rate = bushing_deflection(
-                poses[0],
-                human.motion,
-                poses[1],
-                device.motion,
-                law.origin,
-                law.preload,
-            )
-            force = cuff_force(cuff, deflection, rate)
-            wrench = bushing_wrench(force, *poses, law.origin, law.preload)
+            motions = human.motion, device.motion
+            wrench = _exchanged(cuff, planar_poses(*links), motions)[1]
             entries += opposite_forces(float, pair, links, wrench)
         output.set_value(entries)
 
@@ -267,24 +274,9 @@ def interaction(
     """
     forces, wrenches = {}, {}
     for name, cuff in cuffs.items():
-        bushing = cuff.bushing
-        links = []
-        for body in tree.cuffs[name]:
-            position, angle, motion = tree.link_motion(q, v, body)
-            links.append(((*position, angle), motion))
-        (human, human_motion), (device, device_motion) = links
-        deflection, rate = bushing_deflection(
-            human,
-            human_motion,
-            device,
-            device_motion,
-            bushing.origin,
-            bushing.preload,
-        )
-        force = cuff_force(cuff, deflection, rate)
-        w = bushing_wrench(
-            force, human, device, bushing.origin, bushing.preload
-        )
+        links = [tree.link_motion(q, v, body) for body in tree.cuffs[name]]
+        poses = [(*position, angle) for position, angle, _ in links]
+        force, w = _exchanged(cuff, poses, [motion for *_, motion in links])
         # The law's moments are toes-up positive, M_y is the opposite.
         wrenches[name] = PlanarWrench(
             np.column_stack([w.force_x, w.force_z]),

@@ -10,7 +10,7 @@ with a tension, so both of its pressure mats see pressure at rest. The resultant
 along the segment's x is the cuff's normal force. A scan says where mats lie.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -55,12 +55,6 @@ class Marker:
     def segment(self) -> str:
         """Its link, whichever leg it is of."""
         return self.body.split("_")[0]
-
-    def on_own_leg(self) -> "Marker":
-        """The same on a person whose legs move on their own."""
-        if self.body == "pelvis":
-            return self
-        return replace(self, body=f"{self.body}_{self.side}")
 
     @property
     def side(self) -> str:
@@ -114,20 +108,27 @@ _MIDDLE_TRUNK = {
 }
 
 
-def marker_set(human: HumanParameters) -> dict[str, Marker]:
-    """All markers by name, left and right legs alike."""
+def marker_set(
+    human: HumanParameters, sides: Collection[str] = ()
+) -> dict[str, Marker]:
+    """All markers by name, left and right legs alike.
+
+    Args:
+        human: who wears them.
+        sides: of the legs that move on their own.
+    """
     markers = {}
     foot, trunk = human.foot.length_m, human.pelvis.length_m
     for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
-        letter = side[0].upper()
+        letter, end = side[0].upper(), f"_{side}" if side in sides else ""
         for name, (x, z, out) in _FOOT.items():
             place = (x * foot, z * human.ankle_height_m)
             y = sign * (HALF_STANCE_M + out)
-            markers[f"{letter}_{name}"] = Marker("foot", *place, y)
+            markers[f"{letter}_{name}"] = Marker(f"foot{end}", *place, y)
         for name, (body, x, z, share, out) in _LEG.items():
             place = (x, z + share * getattr(human, body).length_m)
             y = sign * (HALF_STANCE_M + out)
-            markers[f"{letter}_{name}"] = Marker(body, *place, y)
+            markers[f"{letter}_{name}"] = Marker(body + end, *place, y)
         for name, (x, z, y) in _SIDED_TRUNK.items():
             place = (x, z * trunk, sign * y)
             markers[f"{letter}_{name}"] = Marker("pelvis", *place)
@@ -300,6 +301,104 @@ def hide(positions: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return seen
 
 
+MAT_RATE_HZ = 50.0
+CELL_AREA_M2 = 2e-4
+_STEP_PA = 2500.0
+_LARGEST_PA = 30000.0
+_PITCH_M = np.sqrt(CELL_AREA_M2)
+_PATCH_RAD, _PATCH_M = 0.45, 0.02  # of the pressed area, around and along
+_FACETS = 96
+
+
+@dataclass(frozen=True)
+class MatDesign:
+    """A mat on one face of a segment.
+
+    Attributes:
+        cuff: that presses on it.
+        body: link of the human that it lies on.
+        face: "front" or "back".
+        rows, columns: cells; rows run around the segment or along it.
+        around: which of them runs around.
+        legs: where one leg stands for both, "left" for a mat on that leg
+            alone; None on a person of two legs.
+    """
+
+    cuff: str
+    body: str
+    face: str
+    rows: int
+    columns: int
+    around: str
+    legs: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Of the mat in study and files."""
+        return f"{self.cuff}_{self.face}"
+
+    @property
+    def segment(self) -> str:
+        """That it lies on, whichever leg it is of."""
+        return self.body.split("_")[0]
+
+    @property
+    def tension_n(self) -> float:
+        """Of the straps whose force it shows, or shows a share of [N]."""
+        own_leg = self.legs is None and self.body != self.segment
+        return (0.5 if own_leg else 1.0) * _TENSION_N[self.segment]
+
+
+# Half axes of the segment's cross section, forward and left [m], and tension
+# of its straps, both legs together [N].
+_SECTION = {
+    "shank": (0.058, 0.052),
+    "thigh": (0.085, 0.078),
+    "pelvis": (0.120, 0.170),
+}
+_TENSION_N = {"shank": 40.0, "thigh": 50.0, "pelvis": 50.0}
+# Rows, columns, and which of them runs around the segment.
+_CELLS = {
+    "shank": (16, 8, "columns"),
+    "thigh": (16, 8, "rows"),
+    "pelvis": (32, 8, "rows"),
+}
+
+
+def _faces(cuff: str, body: str, legs: str | None) -> list[MatDesign]:
+    cells = _CELLS[body.split("_")[0]]
+    return [
+        MatDesign(cuff, body, face, *cells, legs) for face in ("front", "back")
+    ]
+
+
+# Of the shipped exoskeleton: there are mats for the pelvis or for one leg.
+CONFIGURATIONS = {
+    "pelvis": tuple(_faces("pelvis", "pelvis", "both")),
+    "legs": tuple(
+        mat for part in ("thigh", "shank") for mat in _faces(part, part, "left")
+    ),
+}
+
+
+def mats_on(
+    cuffs: Collection[str], configuration: str
+) -> tuple[MatDesign, ...]:
+    """Mats of a configuration, in cuffs that are there."""
+    return tuple(m for m in CONFIGURATIONS[configuration] if m.cuff in cuffs)
+
+
+def mats_of(model: Model) -> tuple[MatDesign, ...]:
+    """Mats under every cuff of two legs; none lie on feet."""
+    ends = {cuff: human for cuff, (human, _) in model.tree.cuffs.items()}
+    return tuple(
+        mat
+        for cuff, body in ends.items()
+        if body.split("_")[0] in _CELLS
+        for mat in _faces(cuff, body, None)
+    )
+
+
 MARKER_RATE_HZ = 100.0
 DEVICE_RATE_HZ = 200.0
 PLATES = {"left": 1, "right": 2, "chair": 3}
@@ -404,7 +503,7 @@ class Laboratory:
 
     Attributes:
         folder: where files go.
-        tree: the subject with the device.
+        model: the subject with the device.
         files: "c3d" (markers and plates in one .c3d, device as .csv) or
             "opensim" (.trc and .mot).
         markers: on the subject, by name.
@@ -416,7 +515,7 @@ class Laboratory:
     """
 
     folder: Path
-    tree: PlanarTree
+    model: Model
     files: str
     markers: dict[str, Marker]
     slide: np.ndarray
@@ -443,7 +542,7 @@ class Laboratory:
             rng: of this recording.
             hidden: whether markers may be hidden at times.
         """
-        active, tree = self.disturbances, self.tree
+        active, tree = self.disturbances, self.model.tree
         q = movement.q[::_PER_FRAME]
         p = marker_positions(tree, q, self.markers)
         if "soft_tissue" in active:
@@ -546,6 +645,36 @@ class Laboratory:
             table = Table(time, columns, moments, in_degrees=False)
             self._write_device(movement.name, "moments", table, "Nm")
 
+    def record_pressure(
+        self, movement: Trial, mats: Sequence[MatDesign], lag_s: float
+    ) -> None:
+        """Write the mats' pressures as Novel's software exports them.
+
+        Nothing where there are no mats.
+
+        Args:
+            movement: what happened.
+            mats: in the order of the file's columns.
+            lag_s: of the mats' clock.
+        """
+        if not mats:
+            return
+        end = movement.times[-1]
+        time = np.arange(1.0 / MAT_RATE_HZ, end, 1.0 / MAT_RATE_HZ)
+        readings = []
+        for mat in mats:
+            force = movement.cuff(mat.cuff).normal
+            normal = np.interp(time - lag_s, movement.times, force)
+            share = self.faults.mat_share.get(mat.cuff, 1.0)
+            if mat.legs == "left":
+                share *= self.faults.left_share
+            readings.append(share * cell_pressures(mat, self.model, normal))
+        pressure = np.hstack(readings)
+        if "pressure_steps" in self.disturbances:
+            pressure = _STEP_PA * np.round(pressure / _STEP_PA)
+            pressure = np.minimum(pressure, _LARGEST_PA)
+        _write_asc(self.folder / f"{movement.name}.asc", time, pressure, mats)
+
     def _write_device(self, name, what, table: Table, unit: str) -> None:
         path = self.folder / self.device_file(name, what)
         if self.files == "c3d":
@@ -620,147 +749,6 @@ def _sampled(movement: Trial, values, at) -> np.ndarray:
     """Values (N, k) at other times; the ends' values beyond the ends."""
     columns = [np.interp(at, movement.times, column) for column in values.T]
     return np.column_stack(columns)
-
-
-MAT_RATE_HZ = 50.0
-CELL_AREA_M2 = 2e-4
-_STEP_PA = 2500.0
-_LARGEST_PA = 30000.0
-_PITCH_M = np.sqrt(CELL_AREA_M2)
-_PATCH_RAD, _PATCH_M = 0.45, 0.02  # of the pressed area, around and along
-_FACETS = 96
-
-
-@dataclass(frozen=True)
-class MatDesign:
-    """A mat on one face of a segment.
-
-    Attributes:
-        cuff: that presses on it.
-        body: link of the human that it lies on.
-        face: "front" or "back".
-        rows, columns: cells; rows run around the segment or along it.
-        around: which of them runs around.
-        legs: where one leg stands for both, "left" for a mat on that leg
-            alone; None on a person of two legs.
-    """
-
-    cuff: str
-    body: str
-    face: str
-    rows: int
-    columns: int
-    around: str
-    legs: str | None = None
-
-    @property
-    def name(self) -> str:
-        """Of the mat in study and files."""
-        return f"{self.cuff}_{self.face}"
-
-    @property
-    def segment(self) -> str:
-        """That it lies on, whichever leg it is of."""
-        return self.body.split("_")[0]
-
-    @property
-    def tension_n(self) -> float:
-        """Of the straps whose force it shows, or shows a share of [N]."""
-        own_leg = self.legs is None and self.body != self.segment
-        return (0.5 if own_leg else 1.0) * _TENSION_N[self.segment]
-
-
-# Half axes of the segment's cross section, forward and left [m], and tension
-# of its straps, both legs together [N].
-_SECTION = {
-    "shank": (0.058, 0.052),
-    "thigh": (0.085, 0.078),
-    "pelvis": (0.120, 0.170),
-}
-_TENSION_N = {"shank": 40.0, "thigh": 50.0, "pelvis": 50.0}
-# Rows, columns, and which of them runs around the segment.
-_CELLS = {
-    "shank": (16, 8, "columns"),
-    "thigh": (16, 8, "rows"),
-    "pelvis": (32, 8, "rows"),
-}
-
-
-def _faces(cuff: str, body: str, legs: str | None) -> list[MatDesign]:
-    cells = _CELLS[body.split("_")[0]]
-    return [
-        MatDesign(cuff, body, face, *cells, legs) for face in ("front", "back")
-    ]
-
-
-# Of the shipped exoskeleton: there are mats for the pelvis or for one leg.
-CONFIGURATIONS = {
-    "pelvis": tuple(_faces("pelvis", "pelvis", "both")),
-    "legs": tuple(
-        mat for part in ("thigh", "shank") for mat in _faces(part, part, "left")
-    ),
-}
-
-
-def mats_on(
-    cuffs: Collection[str], configuration: str
-) -> tuple[MatDesign, ...]:
-    """Mats of a configuration, in cuffs that are there."""
-    return tuple(m for m in CONFIGURATIONS[configuration] if m.cuff in cuffs)
-
-
-def mats_of(model: Model) -> tuple[MatDesign, ...]:
-    """Mats under every cuff of two legs; none lie on feet."""
-    ends = {cuff: human for cuff, (human, _) in model.tree.cuffs.items()}
-    return tuple(
-        mat
-        for cuff, body in ends.items()
-        if body.split("_")[0] in _CELLS
-        for mat in _faces(cuff, body, None)
-    )
-
-
-def record_pressure(
-    path: Path,
-    movement: Trial,
-    mats: Sequence[MatDesign],
-    lag_s: float,
-    model: Model,
-    in_steps: bool,
-    left_share: float = 0.5,
-    seen: Mapping[str, float] | None = None,
-) -> None:
-    """Write a recording of the mats as Novel's software exports it.
-
-    Nothing where there are none.
-
-    Args:
-        path: the .asc file.
-        movement: what happened.
-        mats: in the order of the file's columns.
-        lag_s: of the mats' clock.
-        model: wearer and device.
-        in_steps: quantised, and no more than the sensor's range.
-        left_share: of what both legs press, which mats on the left leg see.
-        seen: cuff -> share of its force that mats see; all by default.
-    """
-    seen = seen or {}
-    time = np.arange(1.0 / MAT_RATE_HZ, movement.times[-1], 1.0 / MAT_RATE_HZ)
-    if not mats:
-        return
-    readings = []
-    for mat in mats:
-        force = movement.cuff(mat.cuff).normal
-        normal = np.interp(time - lag_s, movement.times, force)
-        share = seen.get(mat.cuff, 1.0)
-        if mat.legs == "left":
-            share *= left_share
-        readings.append(share * cell_pressures(mat, model, normal))
-    pressure = np.hstack(readings)
-    if in_steps:
-        pressure = _STEP_PA * np.round(pressure / _STEP_PA)
-        pressure = np.minimum(pressure, _LARGEST_PA)
-    _write_asc(path, time, pressure, mats)
 
 
 def cell_pressures(

@@ -5,6 +5,9 @@ subject is a controller that follows its plan. What a laboratory would measure
 comes out of the simulation, not out of the plan.
 """
 
+from functools import reduce
+from operator import add
+
 import numpy as np
 
 from drake_exo.contact.diagram import build_diagram, integrate
@@ -13,6 +16,7 @@ from drake_exo.errors import InputError
 from drake_exo.files.output import Progress
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.plant import Model
 from drake_exo.virtual_laboratory.forces import (
     Cuffs,
     Seat,
@@ -32,7 +36,6 @@ from drake_exo.virtual_laboratory.plan import (
 from drake_exo.virtual_laboratory.truth import Truth
 
 RATE_HZ = 1000.0
-PASSIVE = (0.0, 0.0, 0.0)
 _SETTLE_S = 0.4
 _ASTRAY_M = 0.1  # of a pelvis that still walks as it means to
 
@@ -42,7 +45,7 @@ def simulate(
     truth: Truth,
     reference: Reference,
     seat: SeatParameters | None = None,
-    help_share: tuple[float, ...] = PASSIVE,
+    help_share: tuple[float, ...] = (),
     span: tuple[float, float] = (0.0, 1.0),
     progress: Progress | None = None,
     done: int | None = None,
@@ -57,7 +60,7 @@ def simulate(
         reference: its plan.
         seat: the chair, if there is one.
         help_share: of the gravity torque at ankle, knee and hip, which the
-            exoskeleton bears.
+            exoskeleton bears; none, it is passive.
         span: begin and end of the movement, as the exoskeleton takes it [s].
         progress: told of every step.
         done: movements simulated before.
@@ -67,16 +70,19 @@ def simulate(
     Raises:
         InputError: who walks, stumbles.
     """
-    subject, device = _controllers(truth, reference, help_share, span)
-    subject = walker or subject
+    names = truth.model.coordinates
+    device = DeviceController(
+        truth.model, help_share, truth.friction, truth.design, span
+    )
+    subject = walker or _follower(truth.model, reference, device)
     built = build_diagram(
         truth.model,
         ContactModel(truth.contact),
-        controller=controller(truth.model.coordinates, subject, device),
+        controller=controller(names, subject, device),
         forces=_forces(truth, seat),
     )
     context = built.diagram.CreateDefaultContext()
-    names, plant_context = truth.model.coordinates, built.plant_context(context)
+    plant_context = built.plant_context(context)
     if truth.model.assembly.human.sides:  # settles on its feet by itself
         q = names.aligned(reference.q[:1])[0]
     else:
@@ -110,19 +116,15 @@ def simulate(
     return _recorded(name, truth, seat, (subject, device), motion)
 
 
-def _controllers(truth: Truth, reference: Reference, help_share, span):
-    device = DeviceController(
-        truth.model, help_share, truth.friction, truth.design, span
-    )
-    names = truth.model.rigid.coordinates
-    angles, rates = (
-        x[:, names.joint_columns] for x in (reference.q, reference.v)
-    )
-    help_expected = device.help(
-        reference.times, angles, rates, reference.ground[:, 1]
-    )
-    names = truth.model.coordinates
-    return SubjectController(names, reference, help_expected), device
+def _follower(
+    model: Model, reference: Reference, device: DeviceController
+) -> SubjectController:
+    """Follows the plan, and trusts the device to help as it will there."""
+    joints = model.rigid.coordinates.joint_columns
+    angles, rates = reference.q[:, joints], reference.v[:, joints]
+    loads = reference.ground[:, 1]
+    helped = device.help(reference.times, angles, rates, loads)
+    return SubjectController(model.coordinates, reference, helped)
 
 
 def _forces(truth: Truth, seat: SeatParameters | None):
@@ -178,7 +180,7 @@ def _recorded(name, truth: Truth, seat, controllers, motion) -> Trial:
     times = np.arange(round(end * RATE_HZ) + 1) / RATE_HZ
     q, v = np.split(motion(np.minimum(times, end)).T, 2, axis=1)
     stood = {f: ground_wrench(tree, truth.contact, q, v, f) for f in feet(tree)}
-    ground = sum(list(stood.values())[1:], next(iter(stood.values())))
+    ground = reduce(add, stood.values())
     subject, device = controllers
     loads = np.column_stack([wrench.force_z for wrench in stood.values()])
     exo = names.device_columns
@@ -188,6 +190,7 @@ def _recorded(name, truth: Truth, seat, controllers, motion) -> Trial:
     )
     loads = applied(tree, truth.contact, truth.cuffs, seat, q, v)
     loads[:, names.joint_columns] += torque
+    sided = {foot.removeprefix("foot_"): w for foot, w in stood.items()}
     return Trial(
         name,
         names,
@@ -197,11 +200,7 @@ def _recorded(name, truth: Truth, seat, controllers, motion) -> Trial:
         _accelerations(tree, q, v, loads),
         ground,
         source="simulated",
-        feet={
-            foot.removeprefix("foot_"): wrench for foot, wrench in stood.items()
-        }
-        if len(stood) > 1
-        else {},
+        feet={} if len(stood) == 1 else sided,
         moments=torque,
         cuffs=interaction(tree, truth.cuffs, q, v)[0],
         chair=chair_wrench(tree, seat, q, v),

@@ -104,26 +104,17 @@ def checked(names: Iterable[str]) -> frozenset[str]:
     return frozenset(names)
 
 
-@dataclass(frozen=True)
-class CuffDraw:
-    """Where the parameters of cuffs are drawn from, about nominal values.
-
-    Attributes:
-        stiffness: log-uniform between these shares.
-        damping: likewise; None for the nominal one.
-        origin_m: uniform between these offsets.
-    """
-
-    stiffness: tuple[float, float]
-    damping: tuple[float, float] | None
-    origin_m: tuple[float, float]
-
-
-# Not about the nominal values, so that a prior around them is none of truth.
+# Where parameters of cuffs are drawn from: stiffness and damping log-uniform
+# between these shares of nominal values, the origin uniform about its own [m].
+# Wide ones are not in the middle, so that a prior there is none of truth.
 _WIDE_SHARES = (1.3 / 3.3, 1.3 * 3.3)
-CUFF_DRAWS = {
-    "near": CuffDraw((0.74, 1.35), None, (-0.015, 0.015)),
-    "wide": CuffDraw(_WIDE_SHARES, _WIDE_SHARES, (-0.022, 0.038)),
+_CUFFS: dict[str, dict[str, tuple[float, float]]] = {
+    "near": {"stiffness": (0.74, 1.35), "origin": (-0.015, 0.015)},
+    "wide": {
+        "stiffness": _WIDE_SHARES,
+        "damping": _WIDE_SHARES,
+        "origin": (-0.022, 0.038),
+    },
 }
 
 
@@ -157,7 +148,7 @@ def draw_truth(
     """Parameters off the nominal ones by what a calibration has to find.
 
     The feet's stiffness and dissipation are within 35 % of nominal values,
-    spheres within 12 mm along the foot. Cuffs are drawn from `CUFF_DRAWS`.
+    spheres within 12 mm along the foot. Cuffs are drawn from `_CUFFS`.
     The foot's frame is level in standing, as that of the markers is: spheres
     lie lower than nominal ones by what they sink in.
 
@@ -174,7 +165,7 @@ def draw_truth(
     two = two_spheres(usual.ground, rng)
     five = five_spheres(nominal.exoskeleton, rng)
     contact = (five if "contact" in active else two).checked()
-    cuffs = drawn_cuffs(usual.bushings, rng, active, CUFF_DRAWS[kind])
+    cuffs = drawn_cuffs(usual.bushings, rng, active, kind)
     masses = other_masses(human, rng)
     flat = levelled(
         nominal.rigid.tree,
@@ -243,20 +234,20 @@ def five_spheres(device, rng) -> GroundContact:
     return GroundContact("simbody", spheres, _SHARP)
 
 
-def drawn_cuffs(usual, rng, active, draw: CuffDraw) -> dict[str, Cuff]:
+def drawn_cuffs(usual, rng, active, kind: str) -> dict[str, Cuff]:
     """Cuffs with other values than the usual bushings."""
-    cuffs = {}
+    cuffs, draw = {}, _CUFFS[kind]
     for name, bushing in usual.items():
         values = {
             f.name: getattr(bushing, f.name) * _factor(rng, *shares)
-            for kind, shares in vars(draw).items()
+            for what, shares in draw.items()
             for f in fields(bushing)
-            if f.name.endswith(f"_{kind}") and shares is not None
+            if f.name.endswith(f"_{what}")
         }
         bushing = replace(
             bushing,
-            origin_x=bushing.origin_x + rng.uniform(*draw.origin_m),
-            origin_z=bushing.origin_z + rng.uniform(*draw.origin_m),
+            origin_x=bushing.origin_x + rng.uniform(*draw["origin"]),
+            origin_z=bushing.origin_z + rng.uniform(*draw["origin"]),
             **values,
         )
         cuffs[name] = Cuff(

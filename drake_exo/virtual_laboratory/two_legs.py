@@ -50,30 +50,17 @@ from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import HumanParameters
 from drake_exo.virtual_laboratory.campaign import (
+    Session,
     after_chair,
-    foot_ground_section,
-    interaction_section,
-    prediction_section,
+    device_section,
+    phase_sections,
     recording_sections,
     to_frames,
     vary,
-    write_happened,
     write_yaml,
 )
 from drake_exo.virtual_laboratory.forces import levelled, resting_foot
-from drake_exo.virtual_laboratory.instruments import (
-    PLATES,
-    Faults,
-    Laboratory,
-    MatDesign,
-    drawn_clocks,
-    empty_plate_levels,
-    marker_set,
-    mats_of,
-    record_pressure,
-    slides,
-    write_scans,
-)
+from drake_exo.virtual_laboratory.instruments import PLATES, Faults, mats_of
 from drake_exo.virtual_laboratory.plan import (
     Friction,
     Planner,
@@ -85,7 +72,6 @@ from drake_exo.virtual_laboratory.plan import (
 )
 from drake_exo.virtual_laboratory.simulation import simulate
 from drake_exo.virtual_laboratory.truth import (
-    CUFF_DRAWS,
     MEASUREMENT,
     STANDING_COP_M,
     TRUTH,
@@ -95,13 +81,11 @@ from drake_exo.virtual_laboratory.truth import (
     five_spheres,
     other_masses,
     two_spheres,
-    write_parameters,
 )
 
 MOVEMENTS = ("rise", "squat", "walk")
 # What acts of the disturbances: those of a wide truth do not.
 ACTING = (*TRUTH, *MEASUREMENT)
-_STANDING_S = 2.0
 _PLATES = {side: PLATES[side] for side in SIDES}
 _VISCOUS, _COULOMB = 0.5, 1.0  # of each of the device's joints
 # Knees stay bent: a straight leg cannot give way to the other one.
@@ -111,31 +95,6 @@ _AFTER_TOE_OFF_S = 0.05
 _QUIET_S = 0.1  # of standing before and after a squat that is used
 _RISE = RisePlan(standing=_STANDING)
 _SQUAT = RisePlan(_STANDING, _BOTTOM, _STANDING, lean_s=1.4, rise_s=1.4)
-
-
-@dataclass(frozen=True)
-class TwoLegs:
-    """A subject of two legs, and the plans' own of one.
-
-    Attributes:
-        truth: as it is; its contact is that of each foot.
-        planner: of one leg that stands for both, without the device.
-        files: the description, as the study says it again.
-    """
-
-    truth: Truth
-    planner: Planner
-    files: dict
-
-    @property
-    def model(self) -> Model:
-        """Person and device."""
-        return self.truth.model
-
-    @property
-    def mats(self) -> tuple[MatDesign, ...]:
-        """Under its cuffs."""
-        return mats_of(self.model)
 
 
 def write_movements(
@@ -190,88 +149,239 @@ def write_movements(
     if trials < 1 or seed < 0:
         raise InputError("give at least one trial, and a seed from 0 on")
     active = checked(disturbances) & frozenset(ACTING)
-    subject = draw(Path(description), seed, active)
-    _copy_device(Path(description), subject, folder)
-    (folder / "truth").mkdir(parents=True, exist_ok=True)
-    rng = np.random.default_rng([seed, 21])
-    markers = {
-        name: marker.on_own_leg()
-        for name, marker in marker_set(subject.truth.human).items()
-    }
-    laboratory = Laboratory(
-        folder,
-        subject.model.tree,
-        files,
-        markers,
-        slides(markers, rng),
-        {place: empty_plate_levels(rng) for place in PLATES},
-        active,
-        Faults(encoder_offset_rad=(0.0,)),
-        WALKWAY_M if movement == "walk" else 0.0,
+    job = TwoLegs(
+        folder, Path(description), movement, seed, active, left_share, files
     )
-    tell = Progress("virtual laboratory", trials, interval_seconds=2.0)
-    mats = _stand(subject, laboratory, seed, tell)
-    entries = [
-        _record(subject, laboratory, movement, left_share, seed, i, tell)
-        for i in range(trials)
-    ]
-    about = {"seed": seed, "disturbances": active, "left_share": left_share}
-    write_parameters(folder / "truth", subject.truth, about)
+    device = job.description.get("device")
+    if device is not None:  # its file beside the study, which names it
+        source = Path(description).parent / device["file"]
+        shutil.copyfile(source, folder / source.name)
+        device["file"] = source.name
+    progress = Progress("virtual laboratory", trials, interval_seconds=2.0)
+    mats = job.prepare(progress)
+    entries = [job.record(number, progress) for number in range(trials)]
     path = folder / "study.yaml"
-    study = _study(subject, laboratory, movement, mats, entries)
+    study = job.study(mats, entries)
     write_yaml(path, f"A virtual subject of two legs: {movement}.", study)
     return path
 
 
-def draw(path: Path, seed: int, active: frozenset[str]) -> TwoLegs:
-    """A subject off the nominal one, as described.
+class TwoLegs(Session):
+    """A session of one of two legs, drawn off the nominal one.
 
-    Args:
-        path: of the description.
-        seed: of all that is drawn.
-        active: disturbances.
+    Arguments are those of `write_movements`, checked but for the description.
     """
-    assembly = schema.load(path, Assembly)
-    if assembly.human.legs != "two" or assembly.human.toes != "rigid":
-        raise InputError(
-            f"{path}: the virtual laboratory simulates two legs with rigid "
-            "toes; say 'human: {legs: two}'"
+
+    first_key = 20
+
+    def __init__(
+        self,
+        folder: Path,
+        path: Path,
+        movement: str,
+        seed: int,
+        active: frozenset[str],
+        left_share: float = 0.5,
+        files: str = "c3d",
+    ):
+        self.seed, self.movement, self.left_share = seed, movement, left_share
+        truth, planner = self._drawn(path, active)
+        self.description = yaml.safe_load(path.read_text("utf-8"))
+        super().__init__(
+            seed,
+            truth,
+            planner,
+            mats_of(truth.model),
+            {"seed": seed, "disturbances": active, "left_share": left_share},
+            folder=folder,
+            files=files,
+            disturbances=active,
+            faults=Faults(encoder_offset_rad=(0.0,)),
+            walkway_m=WALKWAY_M if movement == "walk" else 0.0,
         )
-    if assembly.human.osim is not None or assembly.is_fitted:
-        raise InputError(
-            f"{path}: the virtual laboratory has a person of its own and no "
-            "shipped device; leave osim out, and give the device's file"
+
+    def _drawn(self, path: Path, active) -> tuple[Truth, Planner]:
+        """The subject, and who plans: one leg for both, without the device.
+
+        The truth's contact is that of each foot.
+        """
+        assembly = schema.load(path, Assembly)
+        if assembly.human.legs != "two" or assembly.human.toes != "rigid":
+            raise InputError(
+                f"{path}: the virtual laboratory simulates two legs with rigid "
+                "toes; say 'human: {legs: two}'"
+            )
+        if assembly.human.osim is not None or assembly.is_fitted:
+            raise InputError(
+                f"{path}: the virtual laboratory has a person of its own and "
+                "no shipped device; leave osim out, and give the device's file"
+            )
+        rng, person = self.rng(0), nominal_human()
+        alone = Model("human", person)
+        worn = with_text(assembly, path.parent)
+        two = two_spheres(nominal_contact(alone).ground, rng)
+        five = five_spheres(person, rng)
+        masses = other_masses(person, rng)
+        soles = levelled(
+            alone.tree,
+            (five if "contact" in active else two).checked(),
+            Model(worn, person).tree.weight,
+            STANDING_COP_M,
+            person.ankle_height_m,
         )
-    rng, person = np.random.default_rng([seed, 20]), nominal_human()
-    alone = Model("human", person)
-    worn = with_text(assembly, path.parent)
-    two = two_spheres(nominal_contact(alone).ground, rng)
-    five = five_spheres(person, rng)
-    masses = other_masses(person, rng)
-    soles = levelled(
-        alone.tree,
-        (five if "contact" in active else two).checked(),
-        Model(worn, person).tree.weight,
-        STANDING_COP_M,
-        person.ankle_height_m,
-    )
-    if "segments" in active:
-        alone = replace(alone, human=masses)
-    places = {name: (s.x, s.z) for name, s in soles.spheres.items()}
-    ground = {f"foot_{side}": places for side in SIDES}
-    model = Model(replace(worn, ground=ground), alone.human)
-    usual = nominal_contact(model)
-    cuffs = drawn_cuffs(usual.bushings, rng, active, CUFF_DRAWS["near"])
-    joints = len(model.coordinates.device)
-    rough = "friction" in active
-    friction = Friction(
-        (_VISCOUS * rough,) * joints, (_COULOMB * rough,) * joints
-    )
-    return TwoLegs(
-        Truth(model, _of_each(soles), cuffs, friction),
-        Planner(alone.tree, soles),
-        yaml.safe_load(path.read_text("utf-8")),
-    )
+        if "segments" in active:
+            alone = replace(alone, human=masses)
+        places = {name: (s.x, s.z) for name, s in soles.spheres.items()}
+        ground = {f"foot_{side}": places for side in SIDES}
+        model = Model(replace(worn, ground=ground), alone.human)
+        usual = nominal_contact(model)
+        cuffs = drawn_cuffs(usual.bushings, rng, active, "near")
+        joints = len(model.coordinates.device)
+        rough = "friction" in active
+        friction = Friction(
+            (_VISCOUS * rough,) * joints, (_COULOMB * rough,) * joints
+        )
+        truth = Truth(model, _of_each(soles), cuffs, friction)
+        return truth, Planner(alone.tree, soles)
+
+    def standing(self) -> Reference:
+        """See `Session`; on both legs alike."""
+        return self.both_legs(super().standing(), 0.5)
+
+    def both_legs(self, plan: Reference, share: float) -> Reference:
+        """A plan of one leg, done by two that bear unequally.
+
+        Args:
+            plan: of one leg that stands for both.
+            share: of the ground's force that the left one bears.
+        """
+        one, tree = self.planner.tree, self.truth.model.rigid.tree
+        names = tree.coordinates
+        # The plan is of a person without the device.
+        heavier = tree.weight / one.weight
+        shares = dict(zip(SIDES, (share, 1.0 - share), strict=True))
+        q = np.zeros((len(plan.q), len(names)))
+        q[:, :2] = one.point_positions(plan.q, "pelvis", (0.0, 0.0))
+        q[:, 2] = one.body_angles(plan.q, "pelvis")
+        for side, part in shares.items():
+            # Soles give way to what they bear: legs are of unequal length.
+            load, at = part * heavier * plan.ground[:, 1], plan.ground
+            cop = -at[:, 2].sum() / at[:, 1].sum()
+            foot = resting_foot(one, self.truth.contact, load, cop)
+            bent = _bent(self.truth.human, q, foot)
+            for joint, angle in zip(
+                ("hip", "knee", "ankle"), bent, strict=True
+            ):
+                q[:, names.index(f"{joint}_{side}")] = angle
+        path = make_interp_spline(plan.times, q, k=5)
+        v, a = (path.derivative(k)(plan.times) for k in (1, 2))
+        loads = {"pelvis": PlanarWrench.of(plan.seat)}
+        ground = tree.ground_reaction(q, inverse_dynamics(tree, q, v, a, loads))
+        for side, part in shares.items():
+            loads[f"foot_{side}"] = PlanarWrench.of(part * ground)
+        torque = inverse_dynamics(tree, q, v, a, loads)[:, names.joint_columns]
+        return Reference(plan.times, q, v, torque, ground, plan.seat)
+
+    def record(self, number: int, progress: Progress | None = None) -> dict:
+        """Simulate a trial, write its files; what the study says of it.
+
+        Args:
+            number: of trials before.
+            progress: told of every step.
+        """
+        name, laboratory = f"{self.movement}_{number + 1}", self.laboratory
+        act = self._walks if self.movement == "walk" else self._stands
+        happened, (start, end) = act(name, number, progress)
+        self.measure(happened, self.rng(4, number), self.mats)
+        used = {"name": name, **laboratory.motion_files(name)}
+        if self.truth.model.coordinates.device:
+            used["encoders"] = laboratory.device_file(name, "encoders")
+        if self.mats:
+            mats = [mat.name for mat in self.mats]
+            used["pressure"] = [{"file": f"{name}.asc", "mats": mats}]
+        return {
+            **used,
+            "plates": dict(_PLATES),
+            **laboratory.empty_files,
+            "start_s": start,
+            "end_s": end,
+        }
+
+    def _varied(self, vary, plan, number: int):
+        """The plan of a trial, by a function of a plan and random numbers."""
+        if "variation" not in self.laboratory.disturbances:
+            return plan
+        return vary(plan, self.rng(3, number))
+
+    def _stands(self, name, number, progress) -> tuple[Trial, tuple]:
+        """A rise or squat, and the part of it that is used."""
+        planner, seat = self.planner, None
+        rises = self.movement == "rise"
+        plan = self._varied(vary, _RISE if rises else _SQUAT, number)
+        if rises:
+            seat = planner.seat(plan)
+            motion = planner.rise(plan, seat)
+        else:
+            plan = replace(plan, seated=plan.standing)
+            motion = planner.squat(plan)
+        motion = self.both_legs(motion, self.left_share)
+        happened = simulate(
+            name, self.truth, motion, seat, progress=progress, done=number
+        )
+        end = plan.duration - plan.stand_s + _QUIET_S
+        begin = after_chair(happened) if rises else plan.quiet_s - _QUIET_S
+        return happened, to_frames(begin, end)
+
+    def _walks(self, name, number, progress) -> tuple[Trial, tuple]:
+        """A walk, of which a cycle is used; legs share as they like."""
+        truth, names = self.truth, self.truth.model.coordinates
+        plan = self._varied(vary_walk, WalkPlan(), number)
+        rigid = truth.model.rigid
+        motion = plan_walk(rigid, truth.contact, plan, name)
+        happened = simulate(
+            name,
+            truth,
+            motion,
+            progress=progress,
+            done=number,
+            walker=WalkingController(names, motion, rigid.tree.weight),
+        )
+        # In the air, where a filter smears nothing in, and a cycle later.
+        borne = happened.feet["right"].force_z
+        left = [c.end_s for c in contacts(happened.times, borne) if c.ends]
+        return happened, [round(t + _AFTER_TOE_OFF_S, 2) for t in left[:2]]
+
+    def study(self, mats: dict, entries: list[dict]) -> dict:
+        """The study file; of several trials, the last one is to be predicted.
+
+        Args:
+            mats: the section of that name.
+            entries: the section `trials`, to which their use is added.
+        """
+        for k, entry in enumerate(entries):
+            last = k > 0 and k == len(entries) - 1
+            entry["use"] = "prediction" if last else "calibration"
+        truth, model = self.truth, self.description
+        cutoff_hz, walks = 6.0, self.movement == "walk"
+        if walks:  # three spheres let a foot roll
+            spheres, cutoff_hz = ["heel", "ball", "toe"], 10.0
+            model = model | {"ground": {f"foot_{s}": spheres for s in SIDES}}
+        study = {
+            **recording_sections(
+                truth, self.laboratory, model, _PLATES, cutoff_hz
+            ),
+            **({"mats": mats} if mats else {}),
+            "trials": entries,
+            **phase_sections(legs=2),
+        }
+        if walks:
+            study |= _rolling(study)
+        joints = truth.model.coordinates.device
+        if joints:
+            friction = truth.friction
+            own = device_section(joints, friction, (1.0,) * len(joints))
+            study["device"] = {"joints": own}
+        return study
 
 
 def _of_each(soles: GroundContact) -> GroundContact:
@@ -283,40 +393,6 @@ def _of_each(soles: GroundContact) -> GroundContact:
     return replace(soles, spheres=spheres)
 
 
-def both_legs(subject: TwoLegs, plan: Reference, share: float) -> Reference:
-    """A plan of one leg, done by two that bear unequally.
-
-    Args:
-        subject: who does it.
-        plan: of one leg that stands for both.
-        share: of the ground's force that the left one bears.
-    """
-    planner, tree = subject.planner, subject.model.rigid.tree
-    one, names = planner.tree, tree.coordinates
-    # The plan is of a person without the device.
-    heavier = tree.weight / one.weight
-    shares = dict(zip(SIDES, (share, 1.0 - share), strict=True))
-    q = np.zeros((len(plan.q), len(names)))
-    q[:, :2] = one.point_positions(plan.q, "pelvis", (0.0, 0.0))
-    q[:, 2] = one.body_angles(plan.q, "pelvis")
-    for side, part in shares.items():
-        # Soles give way to what they bear: legs are of unequal length.
-        load, at = part * heavier * plan.ground[:, 1], plan.ground
-        cop = -at[:, 2].sum() / at[:, 1].sum()
-        foot = resting_foot(one, subject.truth.contact, load, cop)
-        bent = _bent(subject.truth.human, q, foot)
-        for joint, angle in zip(("hip", "knee", "ankle"), bent, strict=True):
-            q[:, names.index(f"{joint}_{side}")] = angle
-    path = make_interp_spline(plan.times, q, k=5)
-    v, a = (path.derivative(k)(plan.times) for k in (1, 2))
-    loads = {"pelvis": PlanarWrench.of(plan.seat)}
-    ground = tree.ground_reaction(q, inverse_dynamics(tree, q, v, a, loads))
-    for side, part in shares.items():
-        loads[f"foot_{side}"] = PlanarWrench.of(part * ground)
-    torque = inverse_dynamics(tree, q, v, a, loads)[:, names.joint_columns]
-    return Reference(plan.times, q, v, torque, ground, plan.seat)
-
-
 def _bent(human: HumanParameters, q, foot):
     """Hip, knee and ankle (n,) between a pelvis and a foot (n, 3) [rad]."""
     thigh, shank = human.thigh.length_m, human.shank.length_m
@@ -326,164 +402,6 @@ def _bent(human: HumanParameters, q, foot):
     knee = np.arccos(np.clip(cosine, -1.0, 1.0))
     lean = np.arctan2(x, z) + np.arcsin(thigh * np.sin(knee) / np.sqrt(square))
     return knee - lean - q[:, 2], knee, lean + foot[:, 2]
-
-
-def _stand(subject: TwoLegs, laboratory: Laboratory, seed, tell) -> dict:
-    """Quiet standing, empty plates and body scan; the section `mats`."""
-    plan = subject.planner.standing(_STANDING_S, STANDING_COP_M)
-    happened = _happens("standing", subject, plan, None, 0.5, tell, None)
-    rng = np.random.default_rng([seed, 22])
-    laboratory.record_motion(happened, rng, hidden=False)
-    laboratory.record_empty(rng)
-    return write_scans(
-        laboratory.folder, subject.model, happened.q[-1], subject.mats
-    )
-
-
-def _happens(name, subject, plan, seat, share, tell, done) -> Trial:
-    return simulate(
-        name,
-        subject.truth,
-        both_legs(subject, plan, share),
-        seat,
-        (0.0,) * len(subject.model.coordinates.device),
-        progress=tell,
-        done=done,
-    )
-
-
-def _record(
-    subject: TwoLegs,
-    laboratory: Laboratory,
-    movement: str,
-    share: float,
-    seed: int,
-    number: int,
-    tell: Progress,
-) -> dict:
-    """Simulate a trial, write its files; what the study says of it."""
-    name = f"{movement}_{number + 1}"
-    chance = None
-    if "variation" in laboratory.disturbances:
-        chance = np.random.default_rng([seed, 23, number])
-    act = _walks if movement == "walk" else _stands
-    happened, window = act(subject, name, share, chance, tell, number)
-    rng = np.random.default_rng([seed, 24, number])
-    laboratory.record_motion(happened, rng)
-    used: dict = laboratory.motion_files(name)
-    clocks = None
-    if subject.model.coordinates.device:
-        clocks = drawn_clocks(rng, laboratory.disturbances)
-        laboratory.record_device(happened, clocks, False, rng)
-        used["encoders"] = laboratory.device_file(name, "encoders")
-    if subject.mats:
-        record_pressure(
-            laboratory.folder / f"{name}.asc",
-            happened,
-            subject.mats,
-            clocks.mats,
-            subject.model,
-            "pressure_steps" in laboratory.disturbances,
-        )
-        names = [mat.name for mat in subject.mats]
-        used["pressure"] = [{"file": f"{name}.asc", "mats": names}]
-    write_happened(laboratory.folder / "truth", happened, clocks)
-    return {
-        "name": name,
-        **used,
-        "plates": dict(_PLATES),
-        **laboratory.empty_files,
-        **window,
-    }
-
-
-def _stands(subject, name, share, chance, tell, number) -> tuple[Trial, dict]:
-    """A rise or squat, and the part of it that is used."""
-    planner, seat = subject.planner, None
-    rises = name.startswith("rise")
-    plan = _RISE if rises else _SQUAT
-    if chance is not None:
-        plan = vary(plan, chance)
-    if rises:
-        seat = planner.seat(plan)
-        motion = planner.rise(plan, seat)
-    else:
-        plan = replace(plan, seated=plan.standing)
-        motion = planner.squat(plan)
-    happened = _happens(name, subject, motion, seat, share, tell, number)
-    end = plan.duration - plan.stand_s + _QUIET_S
-    begin = plan.quiet_s - _QUIET_S
-    if seat is not None:
-        begin = after_chair(happened)
-    start, end = to_frames(begin, end)
-    return happened, {"start_s": start, "end_s": end}
-
-
-def _walks(subject, name, share, chance, tell, number) -> tuple[Trial, dict]:
-    """A walk, of which a cycle is used; legs share as they like."""
-    truth, plan = subject.truth, WalkPlan()
-    if chance is not None:
-        plan = vary_walk(plan, chance)
-    rigid = truth.model.rigid
-    motion = plan_walk(rigid, truth.contact, plan, name)
-    names, weight = subject.model.coordinates, rigid.tree.weight
-    happened = simulate(
-        name,
-        truth,
-        motion,
-        None,
-        (0.0,) * len(names.device),
-        progress=tell,
-        done=number,
-        walker=WalkingController(names, motion, weight),
-    )
-    # In the air, where a filter smears nothing in, and a cycle later.
-    borne = happened.feet["right"].force_z
-    left = [c.end_s for c in contacts(happened.times, borne) if c.ends]
-    start, end = (round(t + _AFTER_TOE_OFF_S, 2) for t in left[:2])
-    return happened, {"start_s": start, "end_s": end}
-
-
-def _study(
-    subject: TwoLegs, laboratory: Laboratory, movement: str, mats, entries
-) -> dict:
-    """The study file; of several trials, the last one is to be predicted."""
-    for k, entry in enumerate(entries):
-        last = k > 0 and k == len(entries) - 1
-        entry["use"] = "prediction" if last else "calibration"
-    model, walks = subject.files, movement == "walk"
-    if walks:  # three spheres let a foot roll
-        spheres = ["heel", "ball", "toe"]
-        model = model | {"ground": {f"foot_{s}": spheres for s in SIDES}}
-    study = {
-        **recording_sections(
-            subject.truth, laboratory, model, _PLATES, 10.0 if walks else 6.0
-        ),
-        **({"mats": mats} if mats else {}),
-        "trials": entries,
-        "foot_ground": foot_ground_section(legs=2),
-        "interaction": interaction_section(),
-        "prediction": prediction_section(),
-    }
-    if walks:
-        study |= _rolling(study)
-    if subject.model.coordinates.device:
-        study["device"] = {
-            "joints": {
-                name: {
-                    "viscous_nm_s": viscous,
-                    "coulomb_nm": dry,
-                    "coulomb_speed_rad_s": subject.truth.friction.speed,
-                }
-                for name, viscous, dry in zip(
-                    subject.model.coordinates.device,
-                    subject.truth.friction.viscous,
-                    subject.truth.friction.coulomb,
-                    strict=True,
-                )
-            }
-        }
-    return study
 
 
 def _rolling(study: dict) -> dict:
@@ -512,16 +430,6 @@ def _rolling(study: dict) -> dict:
     # As for recorded walks: with 5 N m the leg in the air goes where it likes.
     found["prediction"]["noise"]["moment_nm"] = 1.0
     return found
-
-
-def _copy_device(description: Path, subject: TwoLegs, folder: Path) -> None:
-    """The device's file beside the study, which names it."""
-    device = subject.files.get("device")
-    if device is None:
-        return
-    source = description.parent / device["file"]
-    shutil.copyfile(source, folder / source.name)
-    device["file"] = source.name
 
 
 # Angles of an adult who walks at an ordinary speed, from one heel strike on,

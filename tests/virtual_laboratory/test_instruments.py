@@ -88,7 +88,7 @@ def laboratory(tmp_path, *active, **faults) -> Caught:
     offsets = {p: np.array([1.0, -3.0, 0.4]) * n for p, n in PLATES.items()}
     return Caught(
         tmp_path,
-        TREE,
+        MODEL,
         "c3d",
         MARKERS,
         slides(MARKERS, np.random.default_rng(0)),
@@ -373,7 +373,7 @@ def test_encoder_noise_and_steps(tmp_path):
 
 @pytest.fixture
 def pressed(tmp_path, monkeypatch):
-    """Pressure (N, cells) and times that `record_pressure` would write."""
+    """Pressure (N, cells) and times that the laboratory would write."""
     caught = {}
 
     def keep(path, time, pressure, mats):
@@ -381,15 +381,10 @@ def pressed(tmp_path, monkeypatch):
 
     monkeypatch.setattr(instruments, "_write_asc", keep)
 
-    def record(configuration="pelvis", lag=0.0, steps=False, **more):
-        instruments.record_pressure(
-            tmp_path / "a.asc",
-            happened(),
-            instruments.CONFIGURATIONS[configuration],
-            lag,
-            MODEL,
-            steps,
-            **more,
+    def record(configuration="pelvis", lag=0.0, steps=False, **faults):
+        active = ["pressure_steps"] if steps else []
+        laboratory(tmp_path, *active, **faults).record_pressure(
+            happened(), instruments.CONFIGURATIONS[configuration], lag
         )
         return caught["time"], caught["pressure"].copy()
 
@@ -429,13 +424,13 @@ def test_the_mats_clock_lags(pressed):
 
 def test_mats_see_their_share(pressed):
     _, whole = pressed("legs")
-    _, part = pressed("legs", left_share=0.4, seen={"thigh": 0.9})
+    _, part = pressed("legs", left_share=0.4, mat_share={"thigh": 0.9})
     ratio = normal_force(part, "legs")
     full = normal_force(whole, "legs")
     for segment, share in (("thigh", 0.72), ("shank", 0.8)):
         expected = share * full[segment]
         np.testing.assert_allclose(ratio[segment], expected, atol=1e-9)
-    _, pelvis = pressed(left_share=0.4, seen={"pelvis": 0.85})
+    _, pelvis = pressed(left_share=0.4, mat_share={"pelvis": 0.85})
     _, all_of_it = pressed()
     np.testing.assert_allclose(pelvis, 0.85 * all_of_it, rtol=1e-9)
 
@@ -456,15 +451,10 @@ def test_pressure_comes_in_steps_of_2500_pascal(pressed, monkeypatch):
 
 
 def test_pressure_files_are_in_kilopascal(tmp_path):
-    instruments.record_pressure(
-        tmp_path / "a.asc",
-        happened(),
-        instruments.CONFIGURATIONS["pelvis"],
-        0.0,
-        MODEL,
-        True,
-    )
-    found = read_novel_asc(tmp_path / "a.asc")
+    mats = instruments.CONFIGURATIONS["pelvis"]
+    made = laboratory(tmp_path, "pressure_steps")
+    made.record_pressure(happened(), mats, 0.0)
+    found = read_novel_asc(tmp_path / "bow.asc")
     assert found.time[0] == pytest.approx(0.02)
     assert found.time[-1] == pytest.approx(1.98)
     names = ("pelvis_front", "pelvis_back")

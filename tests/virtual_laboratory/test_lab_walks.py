@@ -1,6 +1,7 @@
 """Walks: what is meant, how a body is held up, and what comes of it."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,9 +21,9 @@ from drake_exo.files.opensim import read_table
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.virtual_laboratory import simulation, two_legs
 from drake_exo.virtual_laboratory.two_legs import (
+    TwoLegs,
     WalkingController,
     WalkPlan,
-    draw,
     repeated,
     template,
     vary_walk,
@@ -32,6 +33,10 @@ from drake_exo.virtual_laboratory.two_legs import (
 PLAN = WalkPlan()
 
 
+def draw(path, seed, active):
+    return TwoLegs(Path(), path, "walk", seed, active)
+
+
 @pytest.fixture
 def subject(alone):
     return draw(alone, 0, frozenset())
@@ -39,13 +44,13 @@ def subject(alone):
 
 @pytest.fixture
 def step(subject):
-    model = subject.model
+    model = subject.truth.model
     return template(model.tree, subject.truth.contact, PLAN)
 
 
 def test_a_template_is_a_step(subject, step):
     """Feet change over, on the ground, and bear the body in turn."""
-    tree, names = subject.model.tree, step.coordinates
+    tree, names = subject.truth.model.tree, step.coordinates
     other = mirrored(names)
     ahead = np.zeros(len(names))
     ahead[0] = PLAN.speed_m_s * PLAN.step_s
@@ -105,7 +110,7 @@ def test_steps_follow_each_other(subject, step):
 
 def test_a_leg_that_bears_holds_the_body(subject, step):
     """Torques do work towards the plan; a leg that swings minds itself."""
-    model, names = subject.model, subject.model.coordinates
+    model, names = subject.truth.model, subject.truth.model.coordinates
     zero = np.zeros((len(step.times), len(names.joints)))
     walk = repeated(replace(step, moments=zero), 1)
     weight = model.tree.weight
@@ -153,7 +158,10 @@ def test_who_stumbles_is_told(subject, step):
     zero = np.zeros((len(step.times), len(step.coordinates.joints)))
     walk = repeated(replace(step, moments=zero), 1)
     elsewhere = replace(walk, q=walk.q + np.eye(9)[0] * 0.11)
-    names, weight = subject.model.coordinates, subject.model.tree.weight
+    names, weight = (
+        subject.truth.model.coordinates,
+        subject.truth.model.tree.weight,
+    )
     walker = WalkingController(names, elsewhere, weight)
     with pytest.raises(InputError, match="walk: the walker stumbles after 0"):
         simulation.simulate("walk", subject.truth, walk, walker=walker)
@@ -162,7 +170,7 @@ def test_who_stumbles_is_told(subject, step):
 def worn_step(worn):
     """A device's model, the template in it, and nominal cuffs."""
     subject = draw(worn, 0, frozenset())
-    model, names = subject.model, subject.model.coordinates
+    model, names = subject.truth.model, subject.truth.model.coordinates
     soles = replace(subject.truth.contact, constants=two_legs._SMOOTH)
     near = template(model.rigid.tree, soles, PLAN)
     q, v, a = (names.aligned(x) for x in (near.q, near.v, near.a))
@@ -272,7 +280,7 @@ def test_a_walk_is_recorded(alone, tmp_path):
 
 def test_a_foot_is_pressed_by_where_in_its_cycle_it_is(subject):
     """The table's own entries, in newtons, under a foot that is placed."""
-    tree = subject.model.tree
+    tree = subject.truth.model.tree
     names, weight = tree.coordinates, tree.weight
     q = np.zeros((4, len(names)))
     q[:, 0] = 1.0, 2.0, 3.0, 4.0
@@ -295,7 +303,7 @@ def test_the_lower_foot_is_in_the_ground_on_average(subject, step):
     """By 5 mm; what is left has no wave of one step."""
     lowest = np.min(
         [
-            subject.model.tree.point_positions(
+            subject.truth.model.tree.point_positions(
                 step.q, f"foot_{side}", (sphere.x, sphere.z)
             )[:, 1]
             - sphere.radius
@@ -355,7 +363,7 @@ def test_a_step_and_a_part_of_the_next(step):
 
 def test_gains_of_a_leg_that_bears_and_one_that_swings(subject, step):
     """By hand: 10 mrad, 1 cm, 0.1 rad/s or 0.1 m/s off the plan."""
-    names = subject.model.coordinates
+    names = subject.truth.model.coordinates
     zero = np.zeros((len(step.times), len(names.joints)))
     walk = repeated(replace(step, moments=zero), 1)
     weight = 1000.0
@@ -433,7 +441,7 @@ def test_a_walk_is_made_of_the_step_that_was_found(subject, step, monkeypatch):
     monkeypatch.setattr(two_legs, "_Step", problem)
     plan = replace(PLAN, steps=2, after_s=0.1)
     soles = subject.truth.contact
-    walk = two_legs.plan_walk(subject.model, soles, plan, "walk")
+    walk = two_legs.plan_walk(subject.truth.model, soles, plan, "walk")
     assert walk.times[-1] == pytest.approx(2 * plan.step_s + 0.1)
     near, ground, settings = asked[0]
     np.testing.assert_array_equal(near.q, step.q)
@@ -448,7 +456,7 @@ def test_a_walk_is_made_of_the_step_that_was_found(subject, step, monkeypatch):
     assert 10.0 < noise.torque_nm < 100.0 and noise.jerk > 100.0
     found.success = False
     with pytest.raises(InputError, match=r"no step of 1\.20 m/s was found"):
-        two_legs.plan_walk(subject.model, soles, plan, "walk")
+        two_legs.plan_walk(subject.truth.model, soles, plan, "walk")
 
 
 def test_a_step_stays_within_degrees_of_the_template(subject, step):

@@ -1,6 +1,7 @@
 """What is drawn, planned and told: numbers against those that docs name."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -295,7 +296,7 @@ def test_clocks_are_up_to_40_ms_apart_and_told(tmp_path, monkeypatch):
     told, given = [], []
 
     class Instruments:
-        faults = Faults(left_share=0.48, mat_share={"thigh": 0.9})
+        folder = tmp_path
 
         def record_motion(self, *_):
             pass
@@ -303,36 +304,34 @@ def test_clocks_are_up_to_40_ms_apart_and_told(tmp_path, monkeypatch):
         def record_device(self, trial, clocks, moments, rng):
             given.append((clocks, moments))
 
+        def record_pressure(self, trial, mats, lag):
+            pressed.append((mats, lag))
+
     job = campaign.Campaign.__new__(campaign.Campaign)
-    job.folder, job.truth = (
-        tmp_path,
-        draw_truth(np.random.default_rng(0), frozenset()),
-    )
-    job.laboratory = Instruments()
-    pressed = []
-    monkeypatch.setattr(
-        campaign, "record_pressure", lambda *args: pressed.append(args)
-    )
+    job.truth = draw_truth(np.random.default_rng(0), frozenset())
+    job.laboratory, pressed = Instruments(), []
+    job.planner = SimpleNamespace(seat=lambda _: None, rise=lambda *_: None)
+    monkeypatch.setattr(campaign, "simulate", lambda *_: happened())
+    monkeypatch.setattr(campaign, "_window", lambda *_: (0.0, 1.0))
+    monkeypatch.setattr(campaign, "trial_section", lambda *_: {})
     (tmp_path / "truth").mkdir()
     movement = campaign.Repetition("assisted", "legs", 3)
+    job.laboratory.faults = Faults()
+    job.laboratory.disturbances = frozenset(["clocks"])
     for seed in range(40):
-        job.seed, job.active = seed, frozenset(["clocks", "pressure_steps"])
-        job._measure(happened(), movement)
+        job.seed = seed
+        job.record(movement)
         told.append(read_json(tmp_path / "truth" / "bow_clocks.json", ""))
     lags = np.array([(c.device, c.mats) for c, _ in given])
     within(lags, -0.04, 0.04)
     np.testing.assert_allclose(1e3 * lags, np.round(1e3 * lags))
     assert told == [{"device": d, "mats": m} for d, m in lags.tolist()]
     assert all(moments for _, moments in given)
-    path, _, configuration, lag, _, steps, left, seen = pressed[-1]
-    assert path.name == "assisted_legs_3_3.asc"
-    assert configuration == CONFIGURATIONS["legs"]
-    assert (lag, steps) == (lags[-1, 1], True)
-    assert (left, seen) == (0.48, {"thigh": 0.9})
-    job.active = frozenset()
-    job._measure(happened(), campaign.Repetition("passive", "legs", 3))
+    assert pressed[-1] == (CONFIGURATIONS["legs"], lags[-1, 1])
+    job.laboratory.disturbances = frozenset()
+    job.record(campaign.Repetition("passive", "legs", 3))
     assert vars(given[-1][0]) == {"device": 0.0, "mats": 0.0}
-    assert given[-1][1] is False and pressed[-1][5] is False
+    assert given[-1][1] is False
 
 
 def test_truth_is_written_in_si_units(tmp_path):
@@ -376,7 +375,7 @@ def written_study(tmp_path, active, files="c3d", **faults):
     made = draw_truth(np.random.default_rng(0), frozenset(["friction"]))
     laboratory = Laboratory(
         tmp_path,
-        made.model.tree,
+        made.model,
         files,
         {},
         np.zeros((0, 2)),

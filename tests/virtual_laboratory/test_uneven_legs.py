@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 from scipy.interpolate import make_interp_spline
 
 import drake_exo as dx
@@ -29,12 +30,11 @@ from drake_exo.measurement.settings import Mat, Scan
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import SIDES
 from drake_exo.model.plant import nominal_model
-from drake_exo.virtual_laboratory import plan, two_legs
+from drake_exo.virtual_laboratory import campaign, plan, two_legs
 from drake_exo.virtual_laboratory.campaign import write_yaml
 from drake_exo.virtual_laboratory.forces import ground_wrench, resting_foot
 from drake_exo.virtual_laboratory.instruments import (
     CELL_AREA_M2,
-    Faults,
     Laboratory,
     cell_pressures,
     write_scans,
@@ -42,15 +42,18 @@ from drake_exo.virtual_laboratory.instruments import (
 from drake_exo.virtual_laboratory.two_legs import (
     _SQUAT,
     ACTING,
-    both_legs,
-    draw,
+    TwoLegs,
     write_movements,
 )
 
 
+def draw(path, seed, active, movement="rise"):
+    return TwoLegs(Path(), path, movement, seed, active)
+
+
 def test_an_ankle_holds_the_shank_against_the_vertical(alone):
     """However the pelvis, or the foot, stands."""
-    two = draw(alone, 3, frozenset()).model.rigid.tree
+    two = draw(alone, 3, frozenset()).truth.model.rigid.tree
     for tree, sides in ((nominal_model("human").tree, [""]),
                         (two, ["_left", "_right"])):  # fmt: skip
         names = tree.coordinates
@@ -66,7 +69,7 @@ def test_an_ankle_holds_the_shank_against_the_vertical(alone):
 def test_legs_reach_from_the_pelvis_to_the_foot(alone):
     """However both stand, bent at the knee."""
     subject = draw(alone, 3, frozenset())
-    tree = subject.model.rigid.tree
+    tree = subject.truth.model.rigid.tree
     names = tree.coordinates
     root = np.array([[0.1, 0.8, 0.0], [-0.2, 0.6, 0.3], [0.0, 0.7, -0.4]])
     foot = np.array([[0.0, 0.08, 0.0], [0.1, 0.07, -0.2], [-0.1, 0.1, 0.1]])
@@ -88,8 +91,8 @@ def test_a_plan_of_two_legs_obeys_newton(worn):
     subject, share = draw(worn, 3, frozenset(ACTING)), 0.7
     quick = replace(_SQUAT, quiet_s=0.2, lean_s=0.6, rise_s=0.6, stand_s=0.2)
     squat = subject.planner.squat(quick)
-    found = both_legs(subject, squat, share)
-    tree = subject.model.rigid.tree
+    found = subject.both_legs(squat, share)
+    tree = subject.truth.model.rigid.tree
     names = tree.coordinates
     path = make_interp_spline(found.times, found.q, k=5)
     v, a = (path.derivative(k)(found.times) for k in (1, 2))
@@ -101,7 +104,7 @@ def test_a_plan_of_two_legs_obeys_newton(worn):
     Q = inverse_dynamics(tree, found.q, v, a, loads)
     np.testing.assert_allclose(Q[:, names.root_columns], 0.0, atol=1e-7)
     np.testing.assert_allclose(Q[:, names.joint_columns], found.torque)
-    weight = subject.model.tree.weight
+    weight = subject.truth.model.tree.weight
     np.testing.assert_allclose(found.ground[[0, -1], 1], weight, rtol=1e-3)
     left, right = (
         tree.point_positions(found.q, f"foot_{side}", (0.0, 0.0)).T
@@ -143,7 +146,7 @@ def test_an_uneven_rise_is_calibrated(alone, tmp_path):
 def test_mats_lie_under_the_cuffs_of_either_leg(worn, tmp_path):
     """Half the straps' tension each, where the leg stands, for its own cuff."""
     subject = draw(worn, 0, frozenset())
-    model, mats = subject.model, subject.mats
+    model, mats = subject.truth.model, subject.mats
     assert {mat.cuff for mat in mats} == set(model.cuffs)
     assert [mat.name for mat in mats[:2]] == [
         "thigh_left_front",
@@ -233,9 +236,12 @@ def test_what_cannot_be_simulated_is_refused(alone, tmp_path, capsys):
 def test_cuffs_on_two_legs_are_designed(worn):
     """A squat in which the device helps: less is felt, at the same work."""
     subject = draw(worn, 3, frozenset())
-    plan = both_legs(subject, subject.planner.squat(_SQUAT), 0.5)
-    model, rigid = subject.model, subject.model.rigid.tree.coordinates
-    names = subject.model.coordinates
+    plan = subject.both_legs(subject.planner.squat(_SQUAT), 0.5)
+    model, rigid = (
+        subject.truth.model,
+        subject.truth.model.rigid.tree.coordinates,
+    )
+    names = subject.truth.model.coordinates
     used = np.flatnonzero((plan.times > 0.5) & (plan.times < 2.0))
     own = [n if n in rigid.names else names.follows(n) for n in names.names]
     columns = rigid.columns(own)
@@ -290,27 +296,27 @@ def test_each_of_two_soles_bears_half(worn):
         assert truth.friction.coulomb == (1.0 * rough,) * 4
 
 
-def used_part(monkeypatch, name, happened, **planner):
+def used_part(monkeypatch, movement, happened):
     """What a study is told to use of a movement that is given."""
-    planner = SimpleNamespace(
+    subject = TwoLegs.__new__(TwoLegs)
+    subject.movement, subject.left_share, subject.truth = movement, 0.5, None
+    subject.laboratory = SimpleNamespace(disturbances=frozenset())
+    subject.planner = SimpleNamespace(
         seat=lambda plan: "chair",
         rise=lambda plan, seat: plan,
         squat=lambda plan: plan,
-        **planner,
     )
-    monkeypatch.setattr(two_legs, "_happens", lambda *_: happened)
-    subject = SimpleNamespace(planner=planner)
-    return two_legs._stands(subject, name, 0.5, None, None, 0)[1]
+    subject.both_legs = lambda plan, share: plan
+    monkeypatch.setattr(two_legs, "simulate", lambda *_, **__: happened)
+    return subject._stands(f"{movement}_1", 0, None)[1]
 
 
 def test_the_used_part_of_a_squat_begins_and_ends_at_rest(monkeypatch):
     """A tenth of a second before it begins, and after it ends."""
-    at = used_part(monkeypatch, "squat_1", None)
+    at = used_part(monkeypatch, "squat", None)
     plan = _SQUAT
-    assert at == {
-        "start_s": pytest.approx(plan.quiet_s - 0.1),
-        "end_s": pytest.approx(plan.quiet_s + plan.lean_s + plan.rise_s + 0.1),
-    }
+    end = plan.quiet_s + plan.lean_s + plan.rise_s + 0.1
+    assert at == pytest.approx((plan.quiet_s - 0.1, end))
 
 
 def test_the_used_part_of_a_rise_begins_without_the_chair(monkeypatch):
@@ -318,12 +324,10 @@ def test_the_used_part_of_a_rise_begins_without_the_chair(monkeypatch):
     times = np.arange(3000) / 1000.0
     chair = SimpleNamespace(force_z=np.where(times < 1.2345, 300.0, 0.0))
     happened = SimpleNamespace(times=times, chair=chair)
-    at = used_part(monkeypatch, "rise_1", happened)
+    at = used_part(monkeypatch, "rise", happened)
     plan = two_legs._RISE
-    assert at == {
-        "start_s": 1.31,
-        "end_s": pytest.approx(plan.quiet_s + plan.lean_s + plan.rise_s + 0.1),
-    }
+    end = plan.quiet_s + plan.lean_s + plan.rise_s + 0.1
+    assert at == (1.31, pytest.approx(end))
 
 
 def test_the_used_part_of_a_walk_is_a_cycle(monkeypatch, alone):
@@ -333,7 +337,7 @@ def test_the_used_part_of_a_walk_is_a_cycle(monkeypatch, alone):
     borne = np.where((times % 1.1) < 0.62, 700.0, 0.0)
     feet = {"right": SimpleNamespace(force_z=borne)}
     happened = SimpleNamespace(times=times, feet=feet)
-    nq = len(subject.model.coordinates)
+    nq = len(subject.truth.model.coordinates)
     walk = SimpleNamespace(
         times=np.linspace(0.0, 1.0, 11),
         q=np.zeros((11, nq)),
@@ -342,31 +346,21 @@ def test_the_used_part_of_a_walk_is_a_cycle(monkeypatch, alone):
     )
     monkeypatch.setattr(two_legs, "plan_walk", lambda *_: walk)
     monkeypatch.setattr(two_legs, "simulate", lambda *_, **__: happened)
-    _, at = two_legs._walks(subject, "walk_1", 0.5, None, None, 0)
-    assert at == {
-        "start_s": pytest.approx(0.62 + 0.05),
-        "end_s": pytest.approx(1.72 + 0.05),
-    }
+    _, at = subject._walks("walk_1", 0, None)
+    assert at == pytest.approx([0.62 + 0.05, 1.72 + 0.05])
 
 
-def written(subject, movement, active=()):
+def written(subject):
     """The study of three movements by such a subject."""
-    nothing = {"markers": {}, "slide": None, "offsets": {}, "tree": None}
-    laboratory = Laboratory(
-        Path(),
-        files="c3d",
-        disturbances=frozenset(active),
-        faults=Faults(),
-        **nothing,
-    )
-    entries = [{"name": f"{movement}_{k}"} for k in (1, 2, 3)]
-    return two_legs._study(subject, laboratory, movement, {}, entries)
+    entries = [{"name": f"{subject.movement}_{k}"} for k in (1, 2, 3)]
+    return subject.study({}, entries)
 
 
 @pytest.mark.slow
 def test_a_study_of_two_legs_tells_what_is_known(worn):
-    subject = draw(worn, 3, frozenset(["friction"]))
-    study = written(subject, "squat", ["plate_drift"])
+    active = frozenset(["friction", "plate_drift"])
+    subject = draw(worn, 3, active, "squat")
+    study = written(subject)
     human = subject.truth.human
     assert study["subject"]["mass_kg"] == pytest.approx(human.mass_kg, abs=5e-4)
     assert study["subject"]["height_m"] == pytest.approx(
@@ -380,7 +374,7 @@ def test_a_study_of_two_legs_tells_what_is_known(worn):
     assert study["standing"]["plates"] == {"left": 1, "right": 2}
     assert study["standing"]["empty_plates"] == "plates_empty.c3d"
     assert study["foot_ground"]["heel"]["modulus_n_m2"]["nominal"] == 2.5e6
-    names = list(subject.model.coordinates.device)
+    names = list(subject.truth.model.coordinates.device)
     assert list(study["device"]["joints"]) == names
     for own in study["device"]["joints"].values():
         assert own == {
@@ -391,8 +385,10 @@ def test_a_study_of_two_legs_tells_what_is_known(worn):
 
 
 def test_a_study_of_walks_lets_feet_roll(alone, tmp_path):
-    subject = draw(alone, 3, frozenset())
-    study, still = written(subject, "walk"), written(subject, "rise")
+    study, still = (
+        written(draw(alone, 3, frozenset(), movement))
+        for movement in ("walk", "rise")
+    )
     assert study["filter"]["cutoff_hz"] == 10.0 and "device" not in study
     for phase in ("foot_ground", "interaction", "prediction"):
         own, usual = study[phase]["noise"], still[phase]["noise"]
@@ -412,47 +408,46 @@ def test_a_study_of_walks_lets_feet_roll(alone, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_device_s_file_lies_beside_the_study(worn, tmp_path):
-    subject = draw(worn, 3, frozenset())
+def test_a_device_s_file_lies_beside_the_study(worn, tmp_path, monkeypatch):
     folder = tmp_path / "lab"
     folder.mkdir()
     elsewhere = tmp_path / "devices"
     elsewhere.mkdir()
     (tmp_path / "hip_and_knee.urdf").rename(elsewhere / "hip_and_knee.urdf")
-    subject.files["device"]["file"] = "devices/hip_and_knee.urdf"
-    two_legs._copy_device(worn, subject, folder)
-    assert subject.files["device"]["file"] == "hip_and_knee.urdf"
+    text = worn.read_text().replace("hip_and", "devices/hip_and")
+    worn.write_text(text)
+    monkeypatch.setattr(TwoLegs, "prepare", lambda *_: {})
+    monkeypatch.setattr(TwoLegs, "record", lambda *_: {"name": "rise_1"})
+    study = yaml.safe_load(write_movements(folder, worn, trials=1).read_text())
+    assert study["model"]["device"]["file"] == "hip_and_knee.urdf"
     assert (folder / "hip_and_knee.urdf").read_bytes() == (
         elsewhere / "hip_and_knee.urdf"
     ).read_bytes()
-    two_legs._copy_device(worn, replace(subject, files={}), folder)
 
 
 @pytest.mark.slow
 def test_who_stands_is_scanned_at_the_end(worn, tmp_path, monkeypatch):
     """On both legs alike, with a device that does not help."""
-    subject, asked = draw(worn, 3, frozenset()), []
-    nq = len(subject.model.coordinates)
+    subject, asked = TwoLegs(tmp_path, worn, "rise", 3, frozenset()), []
+    nq = len(subject.truth.model.coordinates)
     still = SimpleNamespace(q=np.outer([1.0, 2.0, 3.0], np.ones(nq)))
 
-    def simulated(name, truth, plan, seat, help_share, **more):
-        asked.append((name, plan, seat, help_share))
+    def simulated(name, truth, plan, **more):
+        asked.append((name, plan, more))
         return still
 
-    monkeypatch.setattr(two_legs, "simulate", simulated)
+    monkeypatch.setattr(campaign, "simulate", simulated)
+    monkeypatch.setattr(campaign, "write_happened", lambda *_: None)
     monkeypatch.setattr(
-        two_legs, "write_scans", lambda folder, model, q, mats: (q, mats)
+        campaign, "write_scans", lambda folder, model, q, mats: (q, mats)
     )
-    laboratory = SimpleNamespace(
-        folder=tmp_path,
-        record_motion=lambda *_, **__: None,
-        record_empty=lambda *_: None,
-    )
-    q, mats = two_legs._stand(subject, laboratory, 3, None)
-    ((name, plan, seat, help_share),) = asked
-    assert (name, seat, help_share) == ("standing", None, (0.0,) * 4)
+    monkeypatch.setattr(Laboratory, "record_motion", lambda *_, **__: None)
+    q, mats = subject.prepare()
+    ((name, plan, more),) = asked
+    assert (name, more) == ("standing", {"progress": None})
     assert plan.times[-1] == 2.0
     np.testing.assert_array_equal(q, 3.0)
     assert mats == subject.mats
-    knees = [subject.model.rigid.coordinates.index(f"knee_{s}") for s in SIDES]
+    names = subject.truth.model.rigid.coordinates
+    knees = [names.index(f"knee_{s}") for s in SIDES]
     np.testing.assert_allclose(plan.q[:, knees[0]], plan.q[:, knees[1]])
