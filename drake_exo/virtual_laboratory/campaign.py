@@ -3,7 +3,7 @@
 Its study file says no more than a real laboratory would know.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -68,39 +68,6 @@ _NOISE = {
 _FORCE_NOISE = {"moment_nm": 5.0, "exo_moment_nm": 0.3, "energy_j": 1.0}
 
 
-def write_study(
-    path: Path,
-    truth: Truth,
-    laboratory: Laboratory,
-    mats: dict[str, dict],
-    trials: list[dict],
-) -> None:
-    """Write the study file.
-
-    Args:
-        path: the file.
-        truth: mass, height and gravity are taken from it, and the device's
-            friction, as far as a bench found it.
-        laboratory: the equipment.
-        mats: the section `mats`.
-        trials: the section `trials`.
-    """
-    study = {
-        **recording_sections(truth, laboratory, _model(truth), PLATES),
-        "device": {
-            "encoder_legs": "both",
-            "moment_legs": "both",
-            **device_section(
-                LEG_JOINTS, truth.friction, laboratory.faults.friction_share
-            ),
-        },
-        "mats": mats,
-        "trials": trials,
-        **phase_sections(),
-    }
-    write_yaml(path, "A virtual subject in the exoskeleton stands up.", study)
-
-
 class _Whole(yaml.Dumper):
     """Writes a value wherever it stands, never a sign for an equal one."""
 
@@ -113,44 +80,6 @@ def write_yaml(path: Path, title: str, study: dict) -> None:
     look = {"sort_keys": False, "default_flow_style": None, "width": 78}
     text = yaml.dump(study, Dumper=_Whole, **look)
     path.write_text(f"# {title}\n{text}", encoding="utf-8")
-
-
-def recording_sections(
-    truth: Truth,
-    laboratory: Laboratory,
-    model: str | dict,
-    plates: Mapping[str, int],
-    cutoff_hz: float = 6.0,
-) -> dict:
-    """The sections from `subject` to `markers`, whatever is recorded.
-
-    Args:
-        truth: mass, height and gravity are taken from it.
-        laboratory: the equipment.
-        model: the section `model`.
-        plates: foot or chair -> number.
-        cutoff_hz: of the filter.
-    """
-    return {
-        "subject": {
-            "name": "virtual_subject",
-            "mass_kg": round(truth.human.mass_kg, 3),
-            "height_m": round(truth.human.height_m, 4),
-            "sex": "male",
-        },
-        "model": model,
-        "gravity_m_s2": truth.model.gravity_m_s2,
-        "filter": {"cutoff_hz": cutoff_hz, "order": 4},
-        "laboratory": _laboratory(laboratory),
-        "standing": {
-            **laboratory.motion_files("standing"),
-            "plates": dict(plates),
-            **laboratory.empty_files,
-            "start_s": 0.5,
-        },
-        "scaling": {"lengths": "markers", "trunk_com": "table"},
-        "markers": study_markers(),
-    }
 
 
 def _model(truth: Truth) -> str | dict:
@@ -432,7 +361,8 @@ def write_campaign(
     mats = job.prepare(progress)
     entries = _recorded(job, movements, processes, progress)
     path = Path(folder) / "study.yaml"
-    write_study(path, job.truth, job.laboratory, mats, entries)
+    title = "A virtual subject in the exoskeleton stands up."
+    write_yaml(path, title, job.study(mats, entries))
     return path
 
 
@@ -552,6 +482,47 @@ class Session:
         write_parameters(truth, self.truth, self.about)
         return write_scans(folder, self.truth.model, standing.q[-1], self.mats)
 
+    def recorded(
+        self,
+        model: str | dict,
+        plates: Mapping[str, int],
+        cutoff_hz: float = 6.0,
+    ) -> dict:
+        """Sections of the study from `subject` to `markers`.
+
+        Args:
+            model: the section of that name.
+            plates: foot or chair -> number.
+            cutoff_hz: of the filter.
+        """
+        human, laboratory = self.truth.human, self.laboratory
+        return {
+            "subject": {
+                "name": "virtual_subject",
+                "mass_kg": round(human.mass_kg, 3),
+                "height_m": round(human.height_m, 4),
+                "sex": "male",
+            },
+            "model": model,
+            "gravity_m_s2": self.truth.model.gravity_m_s2,
+            "filter": {"cutoff_hz": cutoff_hz, "order": 4},
+            "laboratory": _laboratory(laboratory),
+            "standing": {
+                **laboratory.motion_files("standing"),
+                "plates": dict(plates),
+                **laboratory.empty_files,
+                "start_s": 0.5,
+            },
+            "scaling": {"lengths": "markers", "trunk_com": "table"},
+            "markers": study_markers(),
+        }
+
+    def varied(self, vary: Callable, plan, *key: int):
+        """A plan as it is done this time: `vary` has random numbers by key."""
+        if "variation" not in self.laboratory.disturbances:
+            return plan
+        return vary(plan, self.rng(3, *key))
+
     def measure(
         self,
         happened: Trial,
@@ -630,9 +601,8 @@ class Campaign(Session):
         done: int | None = None,
     ) -> dict:
         """Simulate a movement, write its files; what the study says of it."""
-        plan, laboratory = RisePlan(), self.laboratory
-        if "variation" in laboratory.disturbances:
-            plan = vary(plan, self.rng(3, *movement.key))
+        laboratory = self.laboratory
+        plan = self.varied(vary, RisePlan(), *movement.key)
         seat = self.planner.seat(plan)
         assisted = movement.mode == "assisted"
         happened = simulate(
@@ -653,6 +623,30 @@ class Campaign(Session):
         noisy = laboratory.faults.noisy_windows
         start, end = _window(happened, plan, rng if noisy else None)
         return trial_section(laboratory, movement, start, end)
+
+    def study(self, mats: dict, entries: list[dict]) -> dict:
+        """The study file; friction of the device as far as a bench found it.
+
+        Args:
+            mats: the section of that name.
+            entries: the section `trials`.
+        """
+        friction = device_section(
+            LEG_JOINTS,
+            self.truth.friction,
+            self.laboratory.faults.friction_share,
+        )
+        return {
+            **self.recorded(_model(self.truth), PLATES),
+            "device": {
+                "encoder_legs": "both",
+                "moment_legs": "both",
+                **friction,
+            },
+            "mats": mats,
+            "trials": entries,
+            **phase_sections(),
+        }
 
 
 def write_happened(

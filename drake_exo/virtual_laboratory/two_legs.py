@@ -54,7 +54,6 @@ from drake_exo.virtual_laboratory.campaign import (
     after_chair,
     device_section,
     phase_sections,
-    recording_sections,
     to_frames,
     vary,
     write_yaml,
@@ -307,17 +306,11 @@ class TwoLegs(Session):
             "end_s": end,
         }
 
-    def _varied(self, vary, plan, number: int):
-        """The plan of a trial, by a function of a plan and random numbers."""
-        if "variation" not in self.laboratory.disturbances:
-            return plan
-        return vary(plan, self.rng(3, number))
-
     def _stands(self, name, number, progress) -> tuple[Trial, tuple]:
         """A rise or squat, and the part of it that is used."""
         planner, seat = self.planner, None
         rises = self.movement == "rise"
-        plan = self._varied(vary, _RISE if rises else _SQUAT, number)
+        plan = self.varied(vary, _RISE if rises else _SQUAT, number)
         if rises:
             seat = planner.seat(plan)
             motion = planner.rise(plan, seat)
@@ -335,7 +328,7 @@ class TwoLegs(Session):
     def _walks(self, name, number, progress) -> tuple[Trial, tuple]:
         """A walk, of which a cycle is used; legs share as they like."""
         truth, names = self.truth, self.truth.model.coordinates
-        plan = self._varied(vary_walk, WalkPlan(), number)
+        plan = self.varied(vary_walk, WalkPlan(), number)
         rigid = truth.model.rigid
         motion = plan_walk(rigid, truth.contact, plan, name)
         happened = simulate(
@@ -367,9 +360,7 @@ class TwoLegs(Session):
             spheres, cutoff_hz = ["heel", "ball", "toe"], 10.0
             model = model | {"ground": {f"foot_{s}": spheres for s in SIDES}}
         study = {
-            **recording_sections(
-                truth, self.laboratory, model, _PLATES, cutoff_hz
-            ),
+            **self.recorded(model, _PLATES, cutoff_hz),
             **({"mats": mats} if mats else {}),
             "trials": entries,
             **phase_sections(legs=2),

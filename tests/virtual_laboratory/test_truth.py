@@ -391,7 +391,9 @@ def written_study(tmp_path, active, files="c3d", **faults):
         )
     ]
     path = tmp_path / "study.yaml"
-    campaign.write_study(path, made, laboratory, {}, entries)
+    job = campaign.Campaign.__new__(campaign.Campaign)
+    job.truth, job.laboratory = made, laboratory
+    campaign.write_yaml(path, "", job.study({}, entries))
     return made, yaml.safe_load(path.read_text())
 
 

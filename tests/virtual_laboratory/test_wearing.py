@@ -24,7 +24,7 @@ from drake_exo.virtual_laboratory.campaign import (
     Campaign,
     Repetition,
     read_about,
-    write_study,
+    write_yaml,
 )
 from drake_exo.virtual_laboratory.plan import DeviceController
 from drake_exo.virtual_laboratory.truth import (
@@ -156,7 +156,7 @@ def test_a_campaign_without_a_cuff_has_no_mats_of_it(tmp_path):
     assert not list(tmp_path.glob("*shank*"))
     entry = job.record(Repetition("assisted", "legs", 3))
     path = tmp_path / "study.yaml"
-    write_study(path, job.truth, job.laboratory, mats, [entry])
+    write_yaml(path, "", job.study(mats, [entry]))
     study = dx.read_study(path)
     assert set(study.model.cuffs) == {"thigh", "pelvis"}
     (trial,) = study.trials()
@@ -195,7 +195,7 @@ def test_what_was_built_is_read_as_the_study_reads(tmp_path, monkeypatch):
             }
             for name in names[:count]
         ]
-        write_study(path, job.truth, job.laboratory, {}, entries)
+        write_yaml(path, "", job.study({}, entries))
         text = path.read_text().replace(
             "cutoff_hz: 6.0", f"cutoff_hz: {filter_hz}"
         )
