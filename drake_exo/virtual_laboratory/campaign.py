@@ -83,12 +83,18 @@ def write_yaml(path: Path, title: str, study: dict) -> None:
 
 
 def _model(truth: Truth) -> str | dict:
-    """What the study says of it: of cuffs that are left out, each cuff."""
-    if isinstance(truth.model.kind, str):
-        return truth.model.kind
-    known = truth.model.assembly
+    """What the study says of it: of cuffs that are built otherwise, each."""
+    model, places = truth.model, {}
+    for name, own in truth.design.cuffs.items():
+        if not own.removed and (own.across_m or own.along_m):
+            x, z = model.cuffs[name]
+            place = [round(x + own.across_m, 4), round(z + own.along_m, 4)]
+            places[name] = {"at_m": place}
+    if isinstance(model.kind, str) and not places:
+        return model.kind
+    known = model.assembly
     cuffs = {
-        name: {k: v for k, v in vars(cuff).items() if v}
+        name: {k: v for k, v in vars(cuff).items() if v} | places.get(name, {})
         for name, cuff in known.cuffs.items()
     }
     return {"device": {"weld": dict(known.device.weld)}, "cuffs": cuffs}

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 
 import drake_exo as dx
 from drake_exo.cli import design as command
@@ -162,6 +163,26 @@ def test_a_campaign_without_a_cuff_has_no_mats_of_it(tmp_path):
     (trial,) = study.trials()
     assert set(trial.cuffs) == {"thigh"}
     assert np.abs(trial.cuffs["thigh"].normal).max() > 5.0
+
+
+def test_the_study_says_where_cuffs_are_built(tmp_path):
+    """By what the person's own are moved; a preload moves the device alone."""
+    thigh = CuffDesign(along_m=0.03, across_m=-0.01, preload_along_m=0.02)
+    soft = CuffDesign(strap_normal_n_m=3000.0)
+    given = tmp_path, 3, frozenset(TRUTH | WIDE), "c3d", "wide"
+    job = Campaign(*given, Design({"thigh": thigh, "shank": soft}))
+    (x, z), path = job.truth.human.thigh_cuff_m, tmp_path / "study.yaml"
+    write_yaml(path, "", job.study({}, []))
+    said = yaml.safe_load(path.read_text())["model"]["cuffs"]
+    assert said["thigh"]["at_m"] == pytest.approx(
+        [x - 0.01, z + 0.03], abs=1e-4
+    )
+    assert "at_m" not in said["shank"]
+    origin = job.truth.cuffs["thigh"].bushing
+    off = np.array(said["thigh"]["at_m"]) - (origin.origin_x, origin.origin_z)
+    assert np.abs(off).max() < 0.04  # as near as that of who wears no design
+    job = Campaign(*given, Design({"shank": soft}))
+    assert job.study({}, [])["model"] == "coupled"
 
 
 def test_a_design_of_another_device_is_refused(truth):
