@@ -90,6 +90,7 @@ _VISCOUS, _COULOMB = 0.5, 1.0  # of each of the device's joints
 # Knees stay bent: a straight leg cannot give way to the other one.
 _STANDING = Posture(shank=9.0, knee=14.0, trunk=2.0)
 _BOTTOM = Posture(shank=24.0, knee=85.0, trunk=36.0)
+_PRIOR_WEIGHT = 10.0  # a foot's forces alone leave open where its spheres are
 _AFTER_TOE_OFF_S = 0.05
 _QUIET_S = 0.1  # of standing before and after a squat that is used
 _RISE = RisePlan(standing=_STANDING)
@@ -367,6 +368,8 @@ class TwoLegs(Session):
         }
         if walks:
             study |= _rolling(study)
+        else:
+            study["foot_ground"]["prior_weight"] = _PRIOR_WEIGHT
         joints = truth.model.coordinates.device
         if joints:
             friction = truth.friction
@@ -413,7 +416,7 @@ def _rolling(study: dict) -> dict:
         # A heel slides as it comes down: a solver turns about in the corner.
         "constants": {"transition_velocity": 0.2, "friction_rounding": 0.5},
         "spheres": {"ball": ball},
-        "prior_weight": 10.0,
+        "prior_weight": _PRIOR_WEIGHT,
         "end_tolerance": ends,
         "solver": {"nodes_per_second": 200.0},  # toes leave within milliseconds
     }
