@@ -241,38 +241,6 @@ class Repetition:
         ]
 
 
-def trial_section(
-    laboratory: Laboratory,
-    movement: Repetition,
-    start_s: float,
-    end_s: float,
-) -> dict:
-    """What the study says of a movement.
-
-    Args:
-        laboratory: that recorded it.
-        movement: in the assisting device it is predicted, and has moments.
-        start_s, end_s: used part.
-    """
-    mats = mats_on(laboratory.model.tree.cuffs, movement.configuration)
-    name, assisted = movement.name, movement.mode == "assisted"
-    pressure = {"file": f"{name}.asc", "mats": [mat.name for mat in mats]}
-    trial = {
-        "name": name,
-        "use": "prediction" if assisted else "calibration",
-        **laboratory.motion_files(name),
-        "plates": dict(PLATES),
-        **laboratory.empty_files,
-        "encoders": laboratory.device_file(name, "encoders"),
-        "pressure": [pressure] if mats else [],
-        "start_s": start_s,
-        "end_s": end_s,
-    }
-    if assisted:
-        trial["exo_moments"] = laboratory.device_file(name, "moments")
-    return trial
-
-
 def protocol(count: int | None = None, full: bool = False) -> list[Repetition]:
     """Movements of a campaign: those that the study uses come first.
 
@@ -628,7 +596,36 @@ class Campaign(Session):
         rng = self.rng(6, *movement.key)
         noisy = laboratory.faults.noisy_windows
         start, end = _window(happened, plan, rng if noisy else None)
-        return trial_section(laboratory, movement, start, end)
+        return self.entry(movement, mats, start, end)
+
+    def entry(
+        self,
+        movement: Repetition,
+        mats: Sequence[MatDesign],
+        start_s: float,
+        end_s: float,
+    ) -> dict:
+        """What the study says of a movement and its used part.
+
+        In the assisting device it is predicted, and has moments.
+        """
+        laboratory, name = self.laboratory, movement.name
+        assisted = movement.mode == "assisted"
+        pressure = {"file": f"{name}.asc", "mats": [mat.name for mat in mats]}
+        trial = {
+            "name": name,
+            "use": "prediction" if assisted else "calibration",
+            **laboratory.motion_files(name),
+            "plates": dict(PLATES),
+            **laboratory.empty_files,
+            "encoders": laboratory.device_file(name, "encoders"),
+            "pressure": [pressure] if mats else [],
+            "start_s": start_s,
+            "end_s": end_s,
+        }
+        if assisted:
+            trial["exo_moments"] = laboratory.device_file(name, "moments")
+        return trial
 
     def study(self, mats: dict, entries: list[dict]) -> dict:
         """The study file; friction of the device as far as a bench found it.
@@ -695,17 +692,15 @@ def _rise_end(plan: RisePlan) -> float:
 
 
 def after_chair(
-    movement: Trial, force: np.ndarray | None = None, gone: float | None = None
+    movement: Trial, force: np.ndarray, gone: float = _CHAIR_GONE_N
 ) -> float:
     """When the chair is felt no more, filters' tails included [s].
 
     Args:
         movement: what happened.
-        force: vertical one of the chair as it is seen; the true one.
+        force: vertical one of the chair, as it is seen.
         gone: at which there is none [N].
     """
-    force = movement.chair.force_z if force is None else force
-    gone = _CHAIR_GONE_N if gone is None else gone
     last = np.flatnonzero(force > gone)[-1]
     return float(movement.times[last] + _AFTER_CHAIR_S)
 

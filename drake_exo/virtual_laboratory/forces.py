@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field, replace
 
 import numpy as np
-from pydrake.multibody.tree import BodyIndex
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import LeafSystem
 
 from drake_exo.contact.bushing import (
@@ -106,18 +106,23 @@ class Cuffs(LeafSystem):
     Inputs body_poses and body_spatial_velocities; output spatial_forces.
 
     Args:
-        pairs: (human link, exoskeleton link) body indices by name.
+        plant: with the links that they join.
+        ends: (human link, exoskeleton link) by name.
         cuffs: by the same names.
     """
 
     def __init__(
         self,
-        pairs: Mapping[str, tuple[BodyIndex, BodyIndex]],
+        plant: MultibodyPlant,
+        ends: Mapping[str, tuple[str, str]],
         cuffs: Mapping[str, Cuff],
     ):
         super().__init__()
         self.set_name("cuffs")
-        self._pairs = [pairs[name] for name in cuffs]
+        self._pairs = [
+            tuple(plant.GetBodyByName(link).index() for link in ends[name])
+            for name in cuffs
+        ]
         self._bodies = [body for pair in self._pairs for body in pair]
         self._cuffs = list(cuffs.values())
         declare_body_inputs(self, float)
@@ -201,14 +206,14 @@ class Seat(LeafSystem):
     Inputs body_poses and body_spatial_velocities; output spatial_forces.
 
     Args:
-        pelvis: index of the link in the plant.
+        plant: with the link pelvis.
         seat: the chair.
     """
 
-    def __init__(self, pelvis: BodyIndex, seat: SeatParameters):
+    def __init__(self, plant: MultibodyPlant, seat: SeatParameters):
         super().__init__()
         self.set_name("seat")
-        self._pelvis = pelvis
+        self._pelvis = plant.GetBodyByName("pelvis").index()
         self._seat = seat
         # From there up no posture reaches the seat: nothing to evaluate.
         reach = np.hypot(seat.x_m, seat.z_m) + seat.radius_m

@@ -233,10 +233,9 @@ def draw_skin(rng: np.random.Generator) -> dict[str, Skin]:
     """
     found = {}
     for name, joints in _NEIGHBOURS.items():
-        share = rng.uniform()
+        drawn = rng.uniform()
+        share = drawn if len(joints) == 2 else 1.0
         shares = dict(zip(joints, (share, 1.0 - share), strict=False))
-        if len(joints) == 1:
-            shares = {joints[0]: 1.0}
         sign = rng.choice([-1.0, 1.0])
         found[name] = Skin(
             shares,

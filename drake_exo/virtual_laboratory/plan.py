@@ -13,7 +13,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import (
+    Diagram,
+    DiagramBuilder,
+    InputPort,
+    LeafSystem,
+)
 from pydrake.systems.primitives import MatrixGain, Multiplexer
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.optimize import least_squares
@@ -382,6 +387,7 @@ class SubjectController(LeafSystem):
         )
         # Looked up ten thousand times: a table is quicker than the spline.
         self._table = CubicSpline(reference.times, plan)(times)
+        self._ground: list[InputPort] = []  # of feet that tell their loads
         self.DeclareVectorInputPort("state", 2 * self._nq)
         self.DeclareVectorOutputPort("torques", len(joints), self._calc)
 
@@ -413,7 +419,9 @@ class SubjectController(LeafSystem):
     def _calc(self, context, output):
         state = self.GetInputPort("state").Eval(context)
         time, nq = np.float64(context.get_time()), self._nq
-        output.SetFromVector(self.torques(time, state[:nq], state[nq:]))
+        loads = np.array([port.Eval(context)[1] for port in self._ground])
+        found = self.torques(time, state[:nq], state[nq:], loads)
+        output.SetFromVector(found)
 
 
 def _held(names: Coordinates) -> np.ndarray:

@@ -75,11 +75,15 @@ def simulate(
         truth.model, help_share, truth.friction, truth.design, span
     )
     subject = walker or _follower(truth.model, reference, device)
+    plant, ends = truth.model.plant(), truth.model.tree.cuffs
     built = build_diagram(
         truth.model,
         ContactModel(truth.contact),
         controller=controller(names, subject, device),
-        forces=_forces(truth, seat),
+        forces=[
+            Cuffs(plant, ends, truth.cuffs),
+            *([] if seat is None else [Seat(plant, seat)]),
+        ],
     )
     context = built.diagram.CreateDefaultContext()
     plant_context = built.plant_context(context)
@@ -125,21 +129,6 @@ def _follower(
     loads = reference.ground[:, 1]
     helped = device.help(reference.times, angles, rates, loads)
     return SubjectController(model.coordinates, reference, helped)
-
-
-def _forces(truth: Truth, seat: SeatParameters | None):
-    """Cuffs and chair as systems."""
-    plant = truth.model.plant()
-
-    def link(name):
-        return plant.GetBodyByName(name).index()
-
-    pairs = {
-        cuff: tuple(map(link, truth.model.tree.cuffs[cuff]))
-        for cuff in truth.cuffs
-    }
-    cuffs = Cuffs(pairs, truth.cuffs)
-    return [cuffs] if seat is None else [cuffs, Seat(link("pelvis"), seat)]
 
 
 def equilibrium(

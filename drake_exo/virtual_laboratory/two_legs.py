@@ -323,7 +323,9 @@ class TwoLegs(Session):
             name, self.truth, motion, seat, progress=progress, done=number
         )
         end = plan.duration - plan.stand_s + _QUIET_S
-        begin = after_chair(happened) if rises else plan.quiet_s - _QUIET_S
+        begin = plan.quiet_s - _QUIET_S
+        if rises:
+            begin = after_chair(happened, happened.chair.force_z)
         return happened, to_frames(begin, end)
 
     def _walks(self, name, number, progress) -> tuple[Trial, tuple]:
@@ -667,7 +669,7 @@ class WalkingController(SubjectController):
         self._swing, self._stance = _gains(names)
         sides = [name.partition("_")[2] for name in names.human]
         self._foot = [SIDES.index(side) for side in sides]
-        self._ports = [
+        self._ground = [
             self.DeclareVectorInputPort(f"ground_reaction_foot_{side}", 3)
             for side in SIDES
         ]
@@ -685,13 +687,6 @@ class WalkingController(SubjectController):
         bears = comes_in(loads / self._weight, *_BEARS)[..., self._foot]
         swing, stance = off @ self._swing.T, off @ self._stance.T
         return torque + swing + bears * (stance - swing)
-
-    def _calc(self, context, output):
-        state = self.GetInputPort("state").Eval(context)
-        time, nq = np.float64(context.get_time()), self._nq
-        loads = np.array([port.Eval(context)[1] for port in self._ports])
-        found = self.torques(time, state[:nq], state[nq:], loads)
-        output.SetFromVector(found)
 
 
 def _gains(names: Coordinates) -> tuple[np.ndarray, np.ndarray]:

@@ -70,16 +70,11 @@ def test_forces_of_the_diagram_are_those_of_the_record():
     rng = np.random.default_rng(1)
     truth = draw_truth(rng, RICH)
     tree, plant = truth.model.tree, truth.model.plant()
-
-    def link(name):
-        return plant.GetBodyByName(name).index()
-
-    pairs = {c: tuple(map(link, tree.cuffs[c])) for c in truth.cuffs}
     seat = SeatParameters(height_m=0.48)
     model = build_diagram(
         truth.model,
         ContactModel(truth.contact),
-        forces=[Cuffs(pairs, truth.cuffs), Seat(link("pelvis"), seat)],
+        forces=[Cuffs(plant, tree.cuffs, truth.cuffs), Seat(plant, seat)],
     )
     context = model.diagram.CreateDefaultContext()
     model.diagram.get_input_port(0).FixValue(context, np.zeros(6))

@@ -313,7 +313,7 @@ def test_clocks_are_up_to_40_ms_apart_and_told(tmp_path, monkeypatch):
     job.planner = SimpleNamespace(seat=lambda _: None, rise=lambda *_: None)
     monkeypatch.setattr(campaign, "simulate", lambda *_: happened())
     monkeypatch.setattr(campaign, "_window", lambda *_: (0.0, 1.0))
-    monkeypatch.setattr(campaign, "trial_section", lambda *_: {})
+    monkeypatch.setattr(campaign.Campaign, "entry", lambda *_: {})
     (tmp_path / "truth").mkdir()
     movement = campaign.Repetition("assisted", "legs", 3)
     job.laboratory.faults = Faults()
@@ -383,16 +383,16 @@ def written_study(tmp_path, active, files="c3d", **faults):
         frozenset(active),
         Faults(**faults),
     )
+    job = campaign.Campaign.__new__(campaign.Campaign)
+    job.truth, job.laboratory = made, laboratory
     entries = [
-        campaign.trial_section(laboratory, movement, *window)
+        job.entry(movement, CONFIGURATIONS[movement.configuration], *window)
         for movement, window in (
             (campaign.Repetition("passive", "pelvis", 4), (1.25, 2.5)),
             (campaign.Repetition("assisted", "legs", 3), (1.0, 2.0)),
         )
     ]
     path = tmp_path / "study.yaml"
-    job = campaign.Campaign.__new__(campaign.Campaign)
-    job.truth, job.laboratory = made, laboratory
     campaign.write_yaml(path, "", job.study({}, entries))
     return made, yaml.safe_load(path.read_text())
 
