@@ -690,7 +690,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("mats, clocks.mats)", "mats, clocks.device)"),
         ("gone = _SEEN_GONE_N", "pass"),
         ("share * viscous,", "viscous,"),
-        ('"estimate_encoder_delay": True', '"estimate_encoder_delay": False'),
+        ('section["estimate_encoder_delay"] = True', "pass"),
         ('"start_s": start_s', '"start_s": end_s'),
     ],
     "drake_exo/soles/load_blocks.py": [
@@ -832,7 +832,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "return torque + swing + bears * (stance - swing)",
             "return torque + swing + bears * stance",
         ),
-        ("stiffness=0.5 * s.stiffness", "stiffness=s.stiffness"),
+        ("stiffness=0.5 * sphere.stiffness", "stiffness=sphere.stiffness"),
         (
             "load, at = part * heavier * plan.ground[:, 1], plan.ground",
             "load, at = part * plan.ground[:, 1], plan.ground",

@@ -100,24 +100,6 @@ def _model(truth: Truth) -> str | dict:
     return {"device": {"weld": dict(known.device.weld)}, "cuffs": cuffs}
 
 
-def _laboratory(laboratory: Laboratory) -> dict:
-    section: dict = {}
-    active = laboratory.disturbances
-    if laboratory.files == "c3d":
-        axes = {"forward": "x", "up": "z"}
-        section |= {"marker_axes": axes, "force_axes": dict(axes)}
-    if "gaps" in active:
-        section["fill_gaps_s"] = 0.2
-    if "plate_drift" in active:
-        section["remove_plate_drift"] = True
-    if "clocks" in active:
-        section |= {
-            "estimate_encoder_delay": True,
-            "estimate_pressure_delay": True,
-        }
-    return section
-
-
 def device_section(
     joints: Iterable[str], friction: Friction, found: Iterable[float]
 ) -> dict:
@@ -172,7 +154,7 @@ def phase_sections(legs: int = 1) -> dict:
             "law": "simbody",
             "heel": sphere(),
             "toe": sphere(),
-            "noise": dict(_NOISE),
+            "noise": _NOISE,
             "solver": {"nodes_per_second": 100.0},
         },
         "interaction": {"noise": {**_NOISE, **own, **forces}},
@@ -470,6 +452,17 @@ class Session:
             cutoff_hz: of the filter.
         """
         human, laboratory = self.truth.human, self.laboratory
+        active, section = laboratory.disturbances, {}
+        if laboratory.files == "c3d":
+            axes = {"forward": "x", "up": "z"}
+            section |= {"marker_axes": axes, "force_axes": axes}
+        if "gaps" in active:
+            section["fill_gaps_s"] = 0.2
+        if "plate_drift" in active:
+            section["remove_plate_drift"] = True
+        if "clocks" in active:
+            section["estimate_encoder_delay"] = True
+            section["estimate_pressure_delay"] = True
         return {
             "subject": {
                 "name": "virtual_subject",
@@ -480,10 +473,10 @@ class Session:
             "model": model,
             "gravity_m_s2": self.truth.model.gravity_m_s2,
             "filter": {"cutoff_hz": cutoff_hz, "order": 4},
-            "laboratory": _laboratory(laboratory),
+            "laboratory": section,
             "standing": {
                 **laboratory.motion_files("standing"),
-                "plates": dict(plates),
+                "plates": plates,
                 **laboratory.empty_files,
                 "start_s": 0.5,
             },
@@ -616,7 +609,7 @@ class Campaign(Session):
             "name": name,
             "use": "prediction" if assisted else "calibration",
             **laboratory.motion_files(name),
-            "plates": dict(PLATES),
+            "plates": PLATES,
             **laboratory.empty_files,
             "encoders": laboratory.device_file(name, "encoders"),
             "pressure": [pressure] if mats else [],

@@ -366,7 +366,7 @@ class SubjectController(LeafSystem):
     ):
         super().__init__()
         self._body, self._nq = names.body_columns, len(names)
-        self._held = held = _held(names) if held is None else held
+        self._held = held = held_rows(names) if held is None else held
         joints = [name.split("_")[0] for name in names.human]
         legs = joints.count("ankle")
         self._stiffness, self._damping = (
@@ -424,7 +424,7 @@ class SubjectController(LeafSystem):
         output.SetFromVector(found)
 
 
-def _held(names: Coordinates) -> np.ndarray:
+def held_rows(names: Coordinates) -> np.ndarray:
     """What the feedback holds, (k, body's coordinates).
 
     The ankle holds the shank against the vertical, not against the foot: on

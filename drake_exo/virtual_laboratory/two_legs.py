@@ -68,6 +68,7 @@ from drake_exo.virtual_laboratory.plan import (
     RisePlan,
     SubjectController,
     comes_in,
+    held_rows,
 )
 from drake_exo.virtual_laboratory.simulation import simulate
 from drake_exo.virtual_laboratory.truth import (
@@ -241,7 +242,12 @@ class TwoLegs(Session):
         friction = Friction(
             (_VISCOUS * rough,) * joints, (_COULOMB * rough,) * joints
         )
-        truth = Truth(model, _of_each(soles), cuffs, friction)
+        each = {
+            name: replace(sphere, stiffness=0.5 * sphere.stiffness)
+            for name, sphere in soles.spheres.items()
+        }
+        contact = replace(soles, spheres=each)
+        truth = Truth(model, contact, cuffs, friction)
         return truth, Planner(alone.tree, soles)
 
     def standing(self) -> Reference:
@@ -301,7 +307,7 @@ class TwoLegs(Session):
             used["pressure"] = [{"file": f"{name}.asc", "mats": mats}]
         return {
             **used,
-            "plates": dict(_PLATES),
+            "plates": _PLATES,
             **laboratory.empty_files,
             "start_s": start,
             "end_s": end,
@@ -380,15 +386,6 @@ class TwoLegs(Session):
         return study
 
 
-def _of_each(soles: GroundContact) -> GroundContact:
-    """One foot's contact, of that of both together."""
-    spheres = {
-        name: replace(s, stiffness=0.5 * s.stiffness)
-        for name, s in soles.spheres.items()
-    }
-    return replace(soles, spheres=spheres)
-
-
 def _bent(human: HumanParameters, q, foot):
     """Hip, knee and ankle (n,) between a pelvis and a foot (n, 3) [rad]."""
     thigh, shank = human.thigh.length_m, human.shank.length_m
@@ -422,7 +419,7 @@ def _rolling(study: dict) -> dict:
         "end_tolerance": ends,
         "solver": {"nodes_per_second": 200.0},  # toes leave within milliseconds
     }
-    cuffs["end_tolerance"] = dict(ends)
+    cuffs["end_tolerance"] = ends
     # As for recorded walks: with 5 N m the leg in the air goes where it likes.
     found["prediction"]["noise"]["moment_nm"] = 1.0
     return found
@@ -697,14 +694,13 @@ def _gains(names: Coordinates) -> tuple[np.ndarray, np.ndarray]:
     rows = dict(zip(names.body, np.eye(len(names.body)), strict=True))
     x, _, pitch = names.root
     swing, stance = [], []
-    for name in names.human:
-        joint, _, side = name.partition("_")
+    for name, held in zip(names.human, held_rows(names), strict=True):
+        joint = name.split("_")[0]
         swing.append(np.kron(_SWING[joint], rows[name]))
         if joint == "hip":  # flexes where the trunk leans too far back
             stance.append(np.kron(_TRUNK, -rows[pitch]))
         elif joint == "knee":
-            stance.append(np.kron(_KNEE, rows[name]))
+            stance.append(np.kron(_KNEE, held))
         else:
-            lean = rows[f"knee_{side}"] - rows[f"hip_{side}"] - rows[pitch]
-            stance.append(np.kron(_SHANK, lean) + np.kron(_ALONG, rows[x]))
+            stance.append(np.kron(_SHANK, held) + np.kron(_ALONG, rows[x]))
     return np.array(swing), np.array(stance)

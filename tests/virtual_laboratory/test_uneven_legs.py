@@ -58,7 +58,7 @@ def test_an_ankle_holds_the_shank_against_the_vertical(alone):
                         (two, ["_left", "_right"])):  # fmt: skip
         names = tree.coordinates
         q = np.linspace(0.1, 0.9, len(names)) ** 2
-        held = dict(zip(names.human, plan._held(names) @ q, strict=True))
+        held = dict(zip(names.human, plan.held_rows(names) @ q, strict=True))
         for side in sides:
             (turn,) = tree.body_angles(q[None], f"shank{side}")
             assert held[f"ankle{side}"] == pytest.approx(-turn)
