@@ -5,6 +5,7 @@ Its study file says no more than a real laboratory would know.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from drake_exo.measurement.settings import Filter
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.segments import LEG_JOINTS
 from drake_exo.virtual_laboratory.instruments import (
+    CONFIGURATIONS,
     MARKER_RATE_HZ,
     PLATES,
     Clocks,
@@ -29,7 +31,6 @@ from drake_exo.virtual_laboratory.instruments import (
     drawn_clocks,
     empty_plate_levels,
     marker_set,
-    mats_on,
     slides,
     study_markers,
     write_scans,
@@ -164,7 +165,6 @@ def phase_sections(legs: int = 1) -> dict:
 
 FILES = ("c3d", "opensim")
 _MODES = ("passive", "assisted")
-_CONFIGURATIONS = ("pelvis", "legs")
 _TRIALS, _MOVEMENTS = 5, 3
 # The last movement of the latest trials: three to calibrate, six to predict.
 _USED = {
@@ -217,7 +217,7 @@ class Repetition:
         """Of its random numbers."""
         return [
             _MODES.index(self.mode),
-            _CONFIGURATIONS.index(self.configuration),
+            list(CONFIGURATIONS).index(self.configuration),
             self.trial,
             self.movement,
         ]
@@ -239,7 +239,7 @@ def protocol(count: int | None = None, full: bool = False) -> list[Repetition]:
     everything = [
         Repetition(mode, configuration, trial, movement)
         for mode in _MODES
-        for configuration in _CONFIGURATIONS
+        for configuration in CONFIGURATIONS
         for trial in range(1, _TRIALS + 1)
         for movement in range(1, _MOVEMENTS + 1)
     ]
@@ -549,11 +549,12 @@ class Campaign(Session):
             truth = wearing(truth, design)
         if truth.design != Design():
             about["design"] = truth.design
+        every = chain(*CONFIGURATIONS.values())
         super().__init__(
             seed,
             truth,
             Planner(truth.model.rigid.tree, truth.contact),
-            [m for of in _CONFIGURATIONS for m in mats_on(truth.cuffs, of)],
+            [mat for mat in every if mat.cuff in truth.cuffs],
             about,
             folder=folder,
             files=files,
@@ -584,7 +585,8 @@ class Campaign(Session):
         )
         rng = self.rng(4, *movement.key)
         clocks = drawn_clocks(rng, laboratory.disturbances)
-        mats = mats_on(self.truth.cuffs, movement.configuration)
+        usual = CONFIGURATIONS[movement.configuration]
+        mats = [mat for mat in usual if mat in self.mats]
         self.measure(happened, rng, mats, clocks, assisted)
         rng = self.rng(6, *movement.key)
         noisy = laboratory.faults.noisy_windows

@@ -380,13 +380,6 @@ CONFIGURATIONS = {
 }
 
 
-def mats_on(
-    cuffs: Collection[str], configuration: str
-) -> tuple[MatDesign, ...]:
-    """Mats of a configuration, in cuffs that are there."""
-    return tuple(m for m in CONFIGURATIONS[configuration] if m.cuff in cuffs)
-
-
 def mats_of(model: Model) -> tuple[MatDesign, ...]:
     """Mats under every cuff of two legs; none lie on feet."""
     ends = {cuff: human for cuff, (human, _) in model.tree.cuffs.items()}

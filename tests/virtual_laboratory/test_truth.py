@@ -310,6 +310,7 @@ def test_clocks_are_up_to_40_ms_apart_and_told(tmp_path, monkeypatch):
     job = campaign.Campaign.__new__(campaign.Campaign)
     job.truth = draw_truth(np.random.default_rng(0), frozenset())
     job.laboratory, pressed = Instruments(), []
+    job.mats = [mat for mats in CONFIGURATIONS.values() for mat in mats]
     job.planner = SimpleNamespace(seat=lambda _: None, rise=lambda *_: None)
     monkeypatch.setattr(campaign, "simulate", lambda *_: happened())
     monkeypatch.setattr(campaign, "_window", lambda *_: (0.0, 1.0))
@@ -327,7 +328,7 @@ def test_clocks_are_up_to_40_ms_apart_and_told(tmp_path, monkeypatch):
     np.testing.assert_allclose(1e3 * lags, np.round(1e3 * lags))
     assert told == [{"device": d, "mats": m} for d, m in lags.tolist()]
     assert all(moments for _, moments in given)
-    assert pressed[-1] == (CONFIGURATIONS["legs"], lags[-1, 1])
+    assert pressed[-1] == (list(CONFIGURATIONS["legs"]), lags[-1, 1])
     job.laboratory.disturbances = frozenset()
     job.record(campaign.Repetition("passive", "legs", 3))
     assert vars(given[-1][0]) == {"device": 0.0, "mats": 0.0}
