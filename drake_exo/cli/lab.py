@@ -7,11 +7,8 @@ from drake_exo.cli import add_out, positive
 from drake_exo.contact.strap import read_design
 from drake_exo.errors import InputError
 from drake_exo.files.output import prepare_output_folder
-from drake_exo.virtual_laboratory.campaign import (
-    FILES,
-    NUM_USED,
-    write_campaign,
-)
+from drake_exo.virtual_laboratory.campaign import NUM_USED, write_campaign
+from drake_exo.virtual_laboratory.instruments import FILES
 from drake_exo.virtual_laboratory.truth import DISTURBANCES, KINDS
 from drake_exo.virtual_laboratory.two_legs import MOVEMENTS, write_movements
 

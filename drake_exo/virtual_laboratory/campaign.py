@@ -163,7 +163,6 @@ def phase_sections(legs: int = 1) -> dict:
     }
 
 
-FILES = ("c3d", "opensim")
 _MODES = ("passive", "assisted")
 _TRIALS, _MOVEMENTS = 5, 3
 # The last movement of the latest trials: three to calibrate, six to predict.
@@ -297,14 +296,8 @@ def write_campaign(
         raise InputError(f"seed is {seed}; give a number from 0 on")
     if processes < 1:
         raise InputError(f"processes is {processes}; give 1 or more")
-    for what, value, known in (
-        ("files", files, FILES),
-        ("truth", truth, KINDS),
-    ):
-        if value not in known:
-            raise InputError(
-                f"{what} is {value!r}; give one of {', '.join(known)}"
-            )
+    if truth not in KINDS:
+        raise InputError(f"truth is {truth!r}; give one of {', '.join(KINDS)}")
     if (Path(folder) / "study.yaml").exists():
         raise InputError(
             f"{folder}: holds a study already; choose another folder"

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drake_exo.errors import InputError
 from drake_exo.files.c3d import PlateDesign, write_c3d
 from drake_exo.files.opensim import write_table, write_trc
 from drake_exo.files.tables import (
@@ -393,6 +394,7 @@ def mats_of(model: Model) -> tuple[MatDesign, ...]:
 
 MARKER_RATE_HZ = 100.0
 DEVICE_RATE_HZ = 200.0
+FILES = ("c3d", "opensim")
 PLATES = {"left": 1, "right": 2, "chair": 3}
 LARGEST_LAG_S = 0.04
 _PER_FRAME = round(RATE_HZ / MARKER_RATE_HZ)
@@ -515,6 +517,12 @@ class Laboratory:
     disturbances: frozenset[str]
     faults: Faults
     walkway_m: float = 0.0
+
+    def __post_init__(self):
+        if self.files not in FILES:
+            raise InputError(
+                f"files is {self.files!r}; give one of {', '.join(FILES)}"
+            )
 
     def motion_files(self, name: str) -> dict[str, str]:
         """Names of the files of markers and forces."""

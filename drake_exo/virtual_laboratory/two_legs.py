@@ -128,8 +128,8 @@ def write_movements(
 
     Raises:
         InputError: a description that cannot be, or is not of two legs with
-            rigid feet; an unknown movement or disturbance, a share that tips
-            the body over.
+            rigid feet; an unknown movement, disturbance or kind of files, a
+            share that tips the body over.
     """
     folder = Path(folder)
     if movement not in MOVEMENTS:

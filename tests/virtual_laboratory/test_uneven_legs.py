@@ -217,6 +217,7 @@ def test_what_cannot_be_simulated_is_refused(alone, tmp_path, capsys):
         (alone, {"movement": "jump"}, "has rise, squat, walk"),
         (alone, {"movement": "walk", "left_share": 0.6}, "leave it out for"),
         (alone, {"trials": 0}, "at least one trial"),
+        (alone, {"files": "mat"}, "files is 'mat'; give one of c3d, opensim"),
         (alone, {"disturbances": ["gremlins"]}, "there is no 'gremlins'"),
         (tmp_path / "none.yaml", {}, "cannot be read"),
     ):
