@@ -117,6 +117,8 @@ def read_cells(
         # meshio would look for the end of a .ply's header for ever.
         if start.startswith(b"ply") and b"end_header" not in start:
             raise ValueError("its header does not end")
+        if re.match(rb"\$MeshFormat\s+2\S*\s+0\s", start):
+            _check_gmsh(start)
         with _quiet():
             raw = read(path)
             cells = [b.data for b in raw.cells if b.type == cell_type]
@@ -150,6 +152,18 @@ def read_cells(
     found = found.astype(np.int64)
     nodes.flags.writeable = found.flags.writeable = False
     return nodes, found
+
+
+def _check_gmsh(data: bytes) -> None:
+    """Elements of one kind have as many nodes in a text of format 2.
+
+    meshio takes a row's last numbers for nodes, were they tags.
+    """
+    text = data.partition(b"$Elements")[2].partition(b"$EndElements")[0]
+    _, *rows = [row.split() for row in text.splitlines() if row.strip()]
+    counts = {(kind, len(more) - int(tags)) for _, kind, tags, *more in rows}
+    if len(counts) > len(dict(counts)):
+        raise ValueError("an element has fewer nodes than others, or more")
 
 
 @contextlib.contextmanager

@@ -234,3 +234,22 @@ def test_what_is_kept_cannot_be_written_to(tmp_path):
     for array in read_cells(path, "triangle", "export it again"):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
+
+
+@pytest.mark.parametrize("line", ["2 4 2 7 7 2 3 4", "2 4 2 7 7 2 3 4 5 1"])
+def test_a_gmsh_element_of_another_number_of_nodes_is_refused(tmp_path, line):
+    """meshio takes a tag for its first node, or leaves the first one out."""
+    whole = "2 4 2 7 7 2 3 4 5"
+    text = (
+        "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n7\n1 0 0 0\n2 1 0 0\n"
+        "3 0 1 0\n4 0 0 1\n5 1 1 1\n6 2 0 0\n7 3 0 0\n$EndNodes\n"
+        f"$Elements\n3\n1 4 2 7 7 1 2 3 4\n{whole}\n3 2 2 7 7 1 2 3\n"
+        "$EndElements\n"
+    )
+    path = tmp_path / "a.msh"
+    path.write_text(text)
+    _, cells = read_cells(path, "tetra", "export it again")
+    assert cells.tolist() == [[0, 1, 2, 3], [1, 2, 3, 4]]
+    path.write_text(text.replace(whole, line))
+    with pytest.raises(InputError, match=r"a\.msh: .*fewer nodes than others"):
+        read_cells(path, "tetra", "export it again")
