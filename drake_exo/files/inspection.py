@@ -146,13 +146,15 @@ def _places(path: Path, lines: list[str]) -> Section:
 
 def _of_mesh(path: Path) -> list[Section]:
     lines = []
-    for kind in ("triangle", "tetra"):
+    for kind, *names in (
+        ("triangle", "triangle"),
+        ("tetra", "tetrahedron", "tetrahedra"),
+    ):
         nodes, cells = read_cells(path, kind, "export it again")
         if len(cells):
             low, high = (f(nodes[cells], axis=(0, 1)) for f in (np.min, np.max))
             size = " by ".join(f"{x:.4g}" for x in high - low)
-            kinds = {"triangle": "triangles", "tetra": "tetrahedra"}
-            lines.append(f"{len(cells)} {kinds[kind]}, {size}")
+            lines.append(f"{_counted(len(cells), *names)}, {size}")
     if not lines:
         raise InputError(
             f"{path}: holds neither triangles nor tetrahedra; export them"
@@ -171,10 +173,17 @@ def _of_model(path: Path) -> list[Section]:
     markers = [f"{n}: on {body}" for n, (body, _) in model.markers.items()]
     mass = sum(body.mass_kg for body in model.bodies.values())
     return [
-        Section(f"{len(bodies)} bodies, {mass:.4g} kg", tuple(bodies)),
-        Section(f"{len(joints)} joints", tuple(joints)),
-        Section(f"{len(markers)} markers", tuple(markers)),
+        Section(
+            f"{_counted(len(bodies), 'body', 'bodies')}, {mass:.4g} kg",
+            tuple(bodies),
+        ),
+        Section(_counted(len(joints), "joint"), tuple(joints)),
+        Section(_counted(len(markers), "marker"), tuple(markers)),
     ]
+
+
+def _counted(count: int, one: str, several: str = "") -> str:
+    return f"{count} {one if count == 1 else several or one + 's'}"
 
 
 def _span(time: np.ndarray) -> str:
@@ -198,7 +207,8 @@ def _markers(data: MarkerData) -> Section:
         if (p == 0.0).all(axis=1).any():
             lines[-1] += "; at exactly (0, 0, 0) at times: hidden, as zeros"
     return Section(
-        f"{len(data.names)} markers, positions in m, {_span(data.time)}",
+        f"{_counted(len(data.names), 'marker')}, positions in m, "
+        f"{_span(data.time)}",
         tuple(lines),
     )
 
@@ -209,7 +219,8 @@ def _gaps(time: np.ndarray, unseen: np.ndarray) -> str:
         return ""
     told = [f"{time[a]:g} to {time[b - 1]:g}" for a, b in found[:_TOLD]]
     more = ", ..." if len(found) > _TOLD else ""
-    return f"; not seen in {unseen.sum()} frames: {', '.join(told)}{more} s"
+    frames = _counted(unseen.sum(), "frame")
+    return f"; not seen in {frames}: {', '.join(told)}{more} s"
 
 
 def _plates(time: np.ndarray, plates: Mapping[int, PlateRecording]) -> Section:
@@ -237,7 +248,8 @@ def _plates(time: np.ndarray, plates: Mapping[int, PlateRecording]) -> Section:
             f"{first:g} to {last:g} s; up to {size.max():.0f} N, mostly along "
             f"{'-' if mean < 0 else ''}{'xyz'[axis]} ({abs(mean):.0f} N)"
         )
-    return Section(f"{len(plates)} force plates, {_span(time)}", tuple(lines))
+    title = f"{_counted(len(plates), 'force plate')}, {_span(time)}"
+    return Section(title, tuple(lines))
 
 
 def _channels(table: Table, said: str) -> Section:
@@ -252,7 +264,7 @@ def _channels(table: Table, said: str) -> Section:
             line = f"{name}: {seen[0]:.4g} throughout"
         lines.append(line + _gaps(table.time, ~np.isfinite(x)))
     return Section(
-        f"{len(table.names)} channels, {said}, {_span(table.time)}",
+        f"{_counted(len(table.names), 'channel')}, {said}, {_span(table.time)}",
         tuple(lines),
     )
 
@@ -262,7 +274,8 @@ def _pressure(data: PressureRecording) -> Section:
     for name, cells in data.groups.items():
         p = data.pressure[:, cells]
         lines.append(
-            f"{name}: {len(cells)} cells, up to {1e-3 * p.max():.3g} kPa, "
+            f"{name}: {_counted(len(cells), 'cell')}, up to "
+            f"{1e-3 * p.max():.3g} kPa, "
             f"{int((p > 0.0).any(axis=0).sum())} of them pressed"
         )
     return Section(f"pressure in kPa, {_span(data.time)}", tuple(lines))

@@ -1,6 +1,7 @@
 """What `drake-exo inspect` says of each format, and of a bad file."""
 
 import os
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import meshio
@@ -74,6 +75,17 @@ def test_c3d_markers_plates_and_channels(tmp_path, markers):
     assert "mostly along z (600 N)" in found
     assert "plate 2: never above 20 N" in found
     assert "12 channels" in found and "Fz_1: " in found
+    write_c3d(
+        tmp_path / "one.c3d",
+        replace(
+            markers, names=("a",), positions=markers.positions[:, :1] + 1.0
+        ),
+        [plate(1, load)],
+        [PlateDesign(np.array(square))],
+    )
+    found = text(tmp_path / "one.c3d")
+    assert "\n1 marker, positions" in found
+    assert "\n1 force plate, 100 Hz" in found
 
 
 def test_tables_say_their_unit_of_angles(tmp_path):
@@ -134,7 +146,7 @@ def test_meshes_by_their_size(tmp_path, ending):
     meshio.Mesh(points, cells).write(path)
     found = text(path)
     assert "4 triangles, 30 by 20 by 10" in found
-    assert ("1 tetrahedra, 30 by 20 by 10" in found) == (ending == "vtk")
+    assert ("1 tetrahedron, 30 by 20 by 10" in found) == (ending == "vtk")
 
 
 @pytest.mark.slow
