@@ -156,7 +156,7 @@ def plates_of(table: Table) -> dict[int, PlateRecording]:
             f"{table.source}: has no force plate; name columns like "
             "ground_force_1_vx, ground_force_1_px, ground_torque_1_x"
         )
-    labels = list(columns)
+    labels = sorted(columns, key=bool)  # what has no label is the first
     # "ground_force_2_vx" is plate 2, and so is "FP2_ground_force_vx";
     # "1_ground_force_vx" beside "ground_force_vx" is OpenSim's second plate.
     told = [re.fullmatch(r"\D*0*([1-9]\d*)\D*", label) for label in labels]

@@ -220,6 +220,16 @@ def test_plate_numbers_follow_the_columns():
     assert not plates[3].torque.any()
     words = [n.replace("_7_", "_FP2_").replace("_3_", "_FP3_") for n in names]
     assert list(plates_of(table(words))) == [3, 2]
+    # OpenSim's second plate is that wherever its columns stand.
+    named = [
+        f"{n}ground_force_{k}{a}"
+        for n in ("1_", "")
+        for k in "vp"
+        for a in "xyz"
+    ]
+    plates = plates_of(table(named, np.tile(np.arange(12.0), (25, 1))))
+    assert plates[1].force[0].tolist() == [6.0, 7.0, 8.0]
+    assert plates[2].force[0].tolist() == [0.0, 1.0, 2.0]
     # A digit, but no number.
     plates = plates_of(table([n.replace("7", "²") for n in names[6:]]))
     assert list(plates) == [1]
