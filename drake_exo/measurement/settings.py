@@ -226,6 +226,8 @@ class PressureFile:
 
 def _once(names: Sequence, told: str) -> None:
     """Refuse a name that is there again; `told` begins to say so of it."""
+    if isinstance(names, str):
+        raise InputError(f"{names!r} is one name; give a list of them")
     for name in names:
         if names.count(name) > 1:
             raise InputError(

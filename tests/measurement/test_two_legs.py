@@ -16,7 +16,7 @@ from drake_exo.measurement.kinematics import (
     ankle_paths,
     coordinates,
 )
-from drake_exo.measurement.settings import Plates
+from drake_exo.measurement.settings import Plates, SidedMarkers
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import Assembly, Person
 from drake_exo.model.description import nominal_human
@@ -203,6 +203,8 @@ def test_several_plates_in_turn_are_one_foot():
     assert plates.of("both") == ()
     with pytest.raises(InputError, match="plate 3 cannot be left and right"):
         Plates(left=(2, 3), right=(1, 3))
+    with pytest.raises(InputError, match="'RASI' is one name; give a list"):
+        SidedMarkers(left="RASI")
     with pytest.raises(InputError, match="left names plate 2 more than once"):
         Plates(left=(2, 2), right=1)
     with pytest.raises(InputError, match="right names no plate; name one"):
