@@ -18,7 +18,7 @@ def assessed(monkeypatch):
     """A trial of 1.5 s from 2 s on, whose residual is given."""
     monkeypatch.setattr(quality, "force_residual", lambda *_: RESIDUAL)
 
-    def assess(rms=None, weight=700.0, said=None, **report):
+    def assess(rms=None, weight=700.0, said=None, device=None, **report):
         said = {
             "marker_residual_rms_m": rms or {"heel": 0.003, "toe": 0.004},
             "gaps_filled": {"heel": 0.5, "hip": 0.25},
@@ -29,8 +29,10 @@ def assessed(monkeypatch):
         } | (said or {})  # fmt: skip
         trial = SimpleNamespace(
             name="one", start_s=2.0, duration=1.5, times=np.zeros(N),
-            provenance=said,
+            provenance=said, moments=None,
+            coordinates=SimpleNamespace(device=()),
         )  # fmt: skip
+        vars(trial).update(device or {})
         subject = SimpleNamespace(
             report={"stated_mass_kg": None, "mass_from": "study"} | report,
             model=SimpleNamespace(tree=SimpleNamespace(weight=weight)),
@@ -139,3 +141,24 @@ def test_what_was_done_to_a_trial_is_listed(assessed):
     assert "model: m.osim, 71.3 kg, scaled to 70.0 kg" in text
     assert "markers of the model that standing lacks: X" in text
     assert "body mass: 70.0 kg by the plates, stated 70.0 kg" in text
+
+
+def test_what_the_device_does_is_told(assessed):
+    """-20 N m at 1 rad/s for 1.5 s, and half of that the other way."""
+    moments = np.full((N, 3), [7.0, -20.0, 10.0])
+    device = {
+        "times": np.linspace(0.0, 1.5, N),
+        "moments": moments,
+        "v": np.ones((N, 3)),
+        "coordinates": SimpleNamespace(
+            device=("exo_knee", "exo_hip"),
+            is_device_joint=np.array([False, True, True]),
+            device_columns=np.array([1, 2]),
+        ),
+    }
+    told = (
+        "device: exo_knee up to 20 N m, exo_hip up to 10 N m; does -15 J on "
+        "the movement"
+    )
+    assert told in assessed(device=device).trials[0].notes
+    assert not any("device" in n for n in assessed().trials[0].notes)
