@@ -222,15 +222,15 @@ _CELL = ["row", "column", "x", "y", "z"]
 
 def _read_cells(path: Path, rows: int, columns: int) -> np.ndarray:
     """Cells' places, in the order of the mat, from "row, column, x, y, z"."""
-    lines = list(enumerate(read_text(path).splitlines(), 1))
-    named = [name.strip().lower() for _, line in lines[:1]
-             for name in line.split(",")]  # fmt: skip
+    lines = [line.split(",") for line in read_text(path).splitlines()]
+    named = [name.strip().lower() for name in (lines or [[]])[0]]
     if named != _CELL and sorted(named) == sorted(_CELL):
         raise InputError(
             f"{path}:1: columns are {', '.join(named)}; write them in the "
             f"order {', '.join(_CELL)}"
         )
-    cells = [(i, line.split(",")) for i, line in lines[1:] if line.strip()]
+    rows_of = enumerate(lines[1:], 2)
+    cells = [(i, row) for i, row in rows_of if "".join(row).strip()]
     table = number_rows(path, cells, 5)
     wanted = [(r, c) for r in range(rows) for c in range(columns)]
     found = {}
