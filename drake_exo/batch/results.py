@@ -665,6 +665,10 @@ def _bland_altman(rows: list[Row]) -> Figure | None:
         ax.set_title(signal, fontsize=9)
         ax.set_xlabel(f"mean of both [{unit}]")
         ax.set_ylabel(f"predicted − measured [{unit}]")
+    if 1 < len(colours) <= len(COLOURS):  # else one colour, or some twice
+        for subject, colour in colours.items():
+            axes[0].scatter([], [], s=12, c=colour, label=subject)
+        axes[0].legend(fontsize=7)
     figure.tight_layout()
     return figure
 

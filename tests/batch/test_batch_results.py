@@ -426,6 +426,27 @@ def test_a_panel_holds_differences_over_means():
     assert float(ax.texts[0].get_text()[6:].replace("−", "-")) == -2.33
 
 
+def test_colours_of_subjects_have_a_key():
+    """Where there are several, and each has a colour of its own."""
+    for count in (1, 3, 7):
+        rows = [
+            replace(_row(subject, trial, f"{source}force", 5.0), folder=subject)
+            for subject in "abcdefg"[:count]
+            for trial in "123"
+            for source in (PREDICTED, MEASURED)
+        ]
+        ax = results._bland_altman(rows).axes[0]
+        if count != 3:
+            assert ax.get_legend() is None
+            continue
+        dots, *keys = ax.collections
+        said = {key.get_label(): key.get_facecolor()[0] for key in keys}
+        assert [text.get_text() for text in ax.get_legend().texts] == [*"abc"]
+        np.testing.assert_array_equal(
+            dots.get_facecolor()[::3], [said[name] for name in "abc"]
+        )
+
+
 def test_figures_of_what_does_not_hold_are_marked(tmp_path):
     rows = [_row(s, "1", "rmsd.grf_n.vertical", 5.0) for s in "ab"]
     sound = [replace(row, verdict="holds") for row in rows]
