@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.c3d import PlateDesign, write_c3d
+from drake_exo.files.c3d import write_c3d
 from drake_exo.files.opensim import write_table, write_trc
 from drake_exo.files.tables import (
     MarkerData,
@@ -618,7 +618,7 @@ class Laboratory:
             self.folder / paths["markers"],
             MarkerData(time, names, _z_up(positions), MARKER_RATE_HZ),
             [_resized(plate, count) for plate in plates],
-            [_design(place, self.walkway_m) for place in PLATES],
+            [_corners(place, self.walkway_m) for place in PLATES],
             _PER_FRAME,
         )
 
@@ -732,17 +732,18 @@ def _resized(plate: PlateRecording, count: int) -> PlateRecording:
     return PlateRecording(plate.number, *parts)
 
 
-def _design(place: str, walkway_m: float = 0.0) -> PlateDesign:
-    """Where a plate lies: forward right, back right, back left, ..."""
+def _corners(place: str, walkway_m: float = 0.0) -> np.ndarray:
+    """Corners (4, 3) of a plate: forward right, back right, ... [m]."""
     x, right = _MIDDLE[place]
     half_x, half_y = _HALF_SIZE.get(place, _CHAIR_HALF_SIZE)
     if place in _HALF_SIZE:
         x, half_x = x + 0.5 * walkway_m, half_x + 0.5 * walkway_m
-    corners = [
-        (x + a * half_x, -(right + b * half_y), 0.0)
-        for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))
-    ]
-    return PlateDesign(np.array(corners))
+    return np.array(
+        [
+            (x + a * half_x, -(right + b * half_y), 0.0)
+            for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))
+        ]
+    )
 
 
 def _sampled(movement: Trial, values, at) -> np.ndarray:

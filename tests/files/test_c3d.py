@@ -8,11 +8,12 @@ from pathlib import Path
 import ezc3d
 import numpy as np
 import pytest
+from plate_types import PlateDesign, write_types
 from refusals import refusal
 
 from drake_exo.errors import InputError
 from drake_exo.files import c3d as c3d_files
-from drake_exo.files.c3d import PlateDesign, decode, read_c3d, write_c3d
+from drake_exo.files.c3d import decode, read_c3d, write_c3d
 from drake_exo.files.inspection import inspect
 from drake_exo.files.opensim import read_trc
 from drake_exo.files.tables import MarkerData, PlateRecording, plate_axes
@@ -62,10 +63,14 @@ def design(kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [1, 2, 3, 4])
+@pytest.mark.parametrize("kind", [None, 1, 2, 3, 4])
 def test_plates_of_every_type(tmp_path, markers, plate, kind):
+    """None is that of our own files."""
     path = tmp_path / "a.c3d"
-    write_c3d(path, markers, [plate], [design(kind)], 10)
+    if kind is None:
+        write_c3d(path, markers, [plate], [CORNERS], 10)
+    else:
+        write_types(path, markers, [plate], [design(kind)], 10)
     found = read_c3d(path)
     read = found.plates[1]
     np.testing.assert_allclose(read.force, plate.force, atol=1e-3)
@@ -101,7 +106,7 @@ def test_markers_come_back(tmp_path, markers):
 def test_writing_twice_gives_the_same_bytes(tmp_path, markers, plate):
     for name in "ab":
         path = tmp_path / f"{name}.c3d"
-        write_c3d(path, markers, [plate], [design(2)], 10)
+        write_c3d(path, markers, [plate], [CORNERS], 10)
     first, second = (tmp_path / f"{n}.c3d" for n in "ab")
     assert first.read_bytes() == second.read_bytes()
 
@@ -125,7 +130,7 @@ def test_two_plates_keep_their_numbers(tmp_path, markers, plate):
     light = replace(plate, force=0.1 * plate.force, torque=0 * plate.torque)
     path = tmp_path / "a.c3d"
     designs = [design(3), design(2)]
-    write_c3d(path, markers, [light, plate], designs, 10)
+    write_types(path, markers, [light, plate], designs, 10)
     found = read_c3d(path)
     assert [p.number for p in found.plates.values()] == [1, 2]
     assert found.plates[1].force[:, 2].mean() == pytest.approx(68.7, abs=0.1)
@@ -138,7 +143,7 @@ def test_two_plates_keep_their_numbers(tmp_path, markers, plate):
 def edited(tmp_path, markers, plate, kind, change):
     """A file whose parameters were changed afterwards."""
     path = tmp_path / "a.c3d"
-    write_c3d(path, markers, [plate], [design(kind)], 10)
+    write_types(path, markers, [plate], [design(kind)], 10)
     file = ezc3d.c3d(str(path))
     change(file["parameters"])
     file["data"]["meta_points"] = {}
@@ -161,7 +166,7 @@ def test_origin_with_the_wrong_sign_is_turned(tmp_path, markers, plate):
 def test_counts_without_sign(monkeypatch, tmp_path, markers, plate):
     """As ezc3d hands them over: read as signed, less the offset's size."""
     path = tmp_path / "a.c3d"
-    write_c3d(path, markers, [plate], [design(2)], 10)
+    write_c3d(path, markers, [plate], [CORNERS], 10)
     plain = decode(path)
     offset = np.repeat([32768, 33536], 3)
     scale = np.abs(plain.analogs).max(axis=0) / 3e4
@@ -193,7 +198,7 @@ def test_counts_without_sign(monkeypatch, tmp_path, markers, plate):
 def test_offsets_below_zero(tmp_path, markers, plate):
     """(count - OFFSET) SCALE, says the manual; ezc3d takes the magnitude."""
     path = tmp_path / "a.c3d"
-    write_c3d(path, markers, [plate], [design(2)], 10)
+    write_c3d(path, markers, [plate], [CORNERS], 10)
     plain, data = read_c3d(path).analog.values, bytearray(path.read_bytes())
     (first,) = struct.unpack_from("<6h", data, data.index(b"OFFSET") + 11)[:1]
     assert first == 0
@@ -278,7 +283,7 @@ def test_a_plate_that_cannot_be_read_blocks_nothing_else(
     monkeypatch, tmp_path, markers, plate
 ):
     path = tmp_path / "a.c3d"
-    write_c3d(path, markers, [plate] * 2, [design(2)] * 2, 10)
+    write_c3d(path, markers, [plate] * 2, [CORNERS] * 2, 10)
     found = copy.deepcopy(decode(path))
     found.parameters["FORCE_PLATFORM"]["CORNERS"][..., 0] = 0.0
     monkeypatch.setattr(c3d_files, "decode", lambda path: found)
@@ -303,7 +308,7 @@ def test_a_plate_that_cannot_be_read_blocks_nothing_else(
 )
 def test_refuses_truncated_files(tmp_path, markers, plate, share, words):
     path = tmp_path / "a.c3d"
-    write_c3d(path, markers, [plate], [design(2)], 10)
+    write_c3d(path, markers, [plate], [CORNERS], 10)
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
     with pytest.raises(InputError, match=rf"a\.c3d: {words}"):

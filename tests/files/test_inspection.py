@@ -10,7 +10,7 @@ import pytest
 
 from drake_exo.cli import main
 from drake_exo.errors import InputError
-from drake_exo.files.c3d import PlateDesign, write_c3d
+from drake_exo.files.c3d import write_c3d
 from drake_exo.files.inspection import inspect, text_of
 from drake_exo.files.opensim import write_table, write_trc
 from drake_exo.files.tables import (
@@ -66,7 +66,7 @@ def test_c3d_markers_plates_and_channels(tmp_path, markers):
         tmp_path / "a.c3d",
         markers,
         [plate(1, load), plate(2, 0.0 * load)],
-        [PlateDesign(np.array(square))] * 2,
+        [np.array(square)] * 2,
     )
     found = text(tmp_path / "a.c3d")
     assert "2 markers" in found and "not seen in 13 frames" in found
@@ -81,7 +81,7 @@ def test_c3d_markers_plates_and_channels(tmp_path, markers):
             markers, names=("a",), positions=markers.positions[:, :1] + 1.0
         ),
         [plate(1, load)],
-        [PlateDesign(np.array(square))],
+        [np.array(square)],
     )
     found = text(tmp_path / "one.c3d")
     assert "\n1 marker, positions" in found

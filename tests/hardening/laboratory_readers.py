@@ -4,10 +4,11 @@ from pathlib import Path
 
 import meshio
 import numpy as np
+from plate_types import PlateDesign, write_types
 from small_osim import small_osim
 from sound_files import written
 
-from drake_exo.files.c3d import PlateDesign, read_c3d, write_c3d
+from drake_exo.files.c3d import read_c3d
 from drake_exo.files.opensim import (
     read_plates,
     read_table,
@@ -62,7 +63,7 @@ def _plate(kind, frames=24) -> tuple[PlateRecording, PlateDesign]:
 
 def _c3d(path):
     pairs = [_plate(kind) for kind in (1, 2, 3, 4)]
-    write_c3d(path, _markers(), *zip(*pairs, strict=True), 2)
+    write_types(path, _markers(), *zip(*pairs, strict=True), 2)
 
 
 def _joints(ending="") -> Table:

@@ -7,7 +7,7 @@ import pytest
 from seated_recording import edit, write_seated
 
 from drake_exo.cli import main
-from drake_exo.files.c3d import PlateDesign, write_c3d
+from drake_exo.files.c3d import write_c3d
 from drake_exo.files.opensim import read_plates, read_trc
 from drake_exo.files.output import MANIFEST
 from drake_exo.measurement.trial import Trial
@@ -119,8 +119,8 @@ def as_c3d(folder):
     square = np.array([[0.3, 0.3], [-0.3, 0.3], [-0.3, -0.3], [0.3, -0.3]])
     # x forward, y up, z right: plates lie in x and z, their z points down.
     corners = np.column_stack([square[:, 0], np.zeros(4), square[:, 1]])
-    plates, designs = list(plates.values()), [PlateDesign(corners)] * 3
-    write_c3d(folder / "sts.c3d", markers, plates, designs, 1)
+    plates = list(plates.values())
+    write_c3d(folder / "sts.c3d", markers, plates, [corners] * 3)
     edit(folder, "markers: sts.trc", "markers: sts.c3d")
     edit(folder, "forces: sts.mot", "forces: sts.c3d")
 

@@ -3,6 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plate_types import PlateDesign, write_types
 from synthetic_recording import (
     RATE,
     SEAT_OFF,
@@ -12,7 +13,7 @@ from synthetic_recording import (
 )
 
 from drake_exo.errors import InputError
-from drake_exo.files.c3d import PlateDesign, write_c3d
+from drake_exo.files.c3d import write_c3d
 from drake_exo.files.opensim import (
     read_plates,
     read_table,
@@ -510,7 +511,7 @@ def test_reads_c3d_alike(files, loaded):
         [[0.9, 0, -0.3], [0, 0, -0.3], [0, 0, 0.3], [0.9, 0, 0.3]]
     )
     designs = [PlateDesign(corners), PlateDesign(corners, 3, (0.1, 0.2, -0.05))]
-    write_c3d(folder / "sts.c3d", data, list(plates.values()), designs)
+    write_types(folder / "sts.c3d", data, list(plates.values()), designs)
     trials = tuple(
         replace(t, markers=Path("sts.c3d"), forces=Path("sts.c3d"))
         for t in study.trials
