@@ -88,8 +88,7 @@ class MarkerModel:
 
     def on(self, segment: str, side: str) -> list[str]:
         """Names of the markers on a segment of one leg."""
-        own = self.segment_of == self.index(segment, side)
-        return [n for n, here in zip(self.names, own, strict=True) if here]
+        return self.by_segment()[self.index(segment, side)]
 
     def by_segment(self) -> list[list[str]]:
         """Names of the markers on each segment."""
@@ -169,7 +168,15 @@ def build_marker_model(
     """
     leg = LEG if ball_m else LEG[:-1]
     sides = _complete_sides(markers, standing.source, leg)
-    centres = _joint_centres(standing, markers, frame, sides)
+    centres = {
+        side: {
+            joint: _mean_point(
+                standing, getattr(markers.joint_centres, joint).of(side), frame
+            )
+            for joint in LEG_JOINTS
+        }
+        for side in sides
+    }
     segments = ("pelvis", *(f"{s}_{side}" for side in sides for s in leg))
     hip = np.mean([centres[side]["hip"] for side in sides])
     w, joints = _skeleton(segments, centres, hip, standing.source)
@@ -181,20 +188,23 @@ def build_marker_model(
     rigid = [
         s for s in segments if s in welded or s.partition("_")[0] in welded
     ]
+    # Of each segment its markers, its origin and the lever of that.
+    on = markers.segments.pelvis
+    own = (*on.left, *on.right, *on.middle)
+    parts = [(own, hip, np.zeros(len(segments), complex))]
+    for side in sides:
+        for segment in leg:
+            own, joint = getattr(markers.segments, segment), _ORIGIN[segment]
+            place, lever = centres[side][joint], joints[side][joint]
+            parts.append((own.of(side), place, lever))
     names, segment_of, levers = [], [], []
-    for segment, side, name in _attachments(markers, sides, leg):
-        k = segments.index(segment if side is None else f"{segment}_{side}")
-        if side is None:
-            origin, base = hip, np.zeros(len(segments), complex)
-        else:
-            joint = _ORIGIN[segment]
-            origin, base = centres[side][joint], joints[side][joint]
-        p = _mean_point(standing, (name,), frame)
-        lever = base.copy()
-        lever[k] += (p - origin) / w[k]
-        names.append(name)
-        segment_of.append(k)
-        levers.append(lever)
+    for k, (own, origin, base) in enumerate(parts):
+        for name in own:
+            lever = base.copy()
+            lever[k] += (_mean_point(standing, (name,), frame) - origin) / w[k]
+            names.append(name)
+            segment_of.append(k)
+            levers.append(lever)
     model = MarkerModel(
         segments=segments,
         sides=sides,
@@ -211,13 +221,31 @@ def build_marker_model(
         ),
         ankles={side: joints[side]["ankle"] for side in sides},
         standing_angles=np.angle(w),
-        lengths_m=_lengths(centres),
+        lengths_m={
+            segment: float(
+                np.mean([abs(c[above] - c[below]) for c in centres.values()])
+            )
+            for segment, below, above in (
+                ("shank", "ankle", "knee"),
+                ("thigh", "knee", "hip"),
+            )
+        },
         ankle_height_m=float(
             np.mean([c["ankle"].imag for c in centres.values()])
         ),
     )
-    _check_weights(model, markers)
-    _check_determined(model, standing.source)
+    for name in markers.weights:
+        if name not in names:
+            raise InputError(
+                f"markers.weights names {name!r}, which is on no segment; "
+                "remove it or add it to markers.segments"
+            )
+    if (loose := model.loose()) is not None:
+        raise InputError(
+            f"{standing.source}: the marker set cannot determine the angle of "
+            f"the {loose.replace('_', ' ')}; add markers to it in "
+            "markers.segments"
+        )
     return model
 
 
@@ -241,18 +269,6 @@ def _complete_sides(markers: Markers, source: str, leg) -> tuple[str, ...]:
 def _mean_point(data: MarkerData, names, frame: SagittalFrame) -> complex:
     x, z = frame.points(data.of(names)).mean(axis=(0, 1))
     return complex(x, z)
-
-
-def _joint_centres(standing, markers, frame, sides):
-    return {
-        side: {
-            joint: _mean_point(
-                standing, getattr(markers.joint_centres, joint).of(side), frame
-            )
-            for joint in LEG_JOINTS
-        }
-        for side in sides
-    }
 
 
 def _skeleton(segments, centres, hip, source):
@@ -281,45 +297,6 @@ def _skeleton(segments, centres, hip, source):
         levers["ankle"][shank] = -1j * abs(lengths[1])
         joints[side] = levers
     return w, joints
-
-
-def _attachments(markers: Markers, sides, leg):
-    """Pairs of segment and marker: (segment, side or None, name)."""
-    pelvis = markers.segments.pelvis
-    for name in (*pelvis.left, *pelvis.right, *pelvis.middle):
-        yield "pelvis", None, name
-    for side in sides:
-        for segment in leg:
-            for name in getattr(markers.segments, segment).of(side):
-                yield segment, side, name
-
-
-def _lengths(centres) -> dict[str, float]:
-    c = centres.values()
-    return {
-        "shank": float(np.mean([abs(x["knee"] - x["ankle"]) for x in c])),
-        "thigh": float(np.mean([abs(x["hip"] - x["knee"]) for x in c])),
-    }
-
-
-def _check_weights(model: MarkerModel, markers: Markers) -> None:
-    for name in markers.weights:
-        if name not in model.names:
-            raise InputError(
-                f"markers.weights names {name!r}, which is on no segment; "
-                "remove it or add it to markers.segments"
-            )
-
-
-def _check_determined(model: MarkerModel, source: str) -> None:
-    """Refuse a marker set that leaves a segment free to turn."""
-    loose = model.loose()
-    if loose is not None:
-        raise InputError(
-            f"{source}: the marker set cannot determine the angle of the "
-            f"{loose.replace('_', ' ')}; add markers to it in "
-            "markers.segments"
-        )
 
 
 _MAX_ITERATIONS = 200  # markers that do not fit are followed slowly
