@@ -391,8 +391,7 @@ def plate_checks(e: Evidence) -> Iterator[Check]:
         if e.has_two_plates:
             yield _sides(e)
     for name, w in e.recording.forces.recorded.items():
-        yield _flat(e, name, w[:, 2])
-        yield _clipped(e, name, w[:, 2])
+        yield from _stuck(e, name, w[:, 2])
     if e.recording.chair is not None:
         yield _chair(e)
 
@@ -508,28 +507,23 @@ def _repeats(e: Evidence, F_z: np.ndarray) -> list[tuple[int, int]]:
     ]
 
 
-def _flat(e: Evidence, name: str, F_z: np.ndarray) -> Check:
-    found = _repeats(e, F_z)
+def _stuck(e: Evidence, name: str, F_z: np.ndarray) -> Iterator[Check]:
+    """Whether a plate does not measure, or its peaks are cut off."""
+    found, top = _repeats(e, F_z), F_z.max()
+    rate = e.recording.forces.rate_hz
     loaded = max(int((np.abs(F_z) > _FLAT_N).sum()), 1)
     share = sum(b - a for a, b in found) / loaded
     longest = max(found, key=lambda run: run[1] - run[0], default=(0, 0))
-    seconds = (longest[1] - longest[0]) / e.recording.forces.rate_hz
-    return e.check(
+    seconds = (longest[1] - longest[0]) / rate
+    yield e.check(
         "flat_channel",
         100.0 * share,
         f"plate {name!r} stays at exactly {F_z[longest[0]]:.4g} N for "
         f"{seconds:.2g} s while the body moves; the channel is a filler, not "
         "a measurement: leave the plate out of plates or export its signal",
     )
-
-
-def _clipped(e: Evidence, name: str, F_z: np.ndarray) -> Check:
-    """A peak that is cut off: level on top while the body moves."""
-    top = F_z.max()
-    found = [(a, b) for a, b in _repeats(e, F_z) if F_z[a] == top]
-    longest = max((b - a for a, b in found), default=0)
-    seconds = longest / e.recording.forces.rate_hz
-    return e.check(
+    seconds = max((b - a for a, b in found if F_z[a] == top), default=0) / rate
+    yield e.check(
         "saturated_channel",
         seconds,
         f"plate {name!r} is cut off at {top:.4g} N for {seconds:.2g} s; its "
@@ -694,16 +688,13 @@ def _markers(e: Evidence) -> Check:
 
 def _leap(e: Evidence) -> Check:
     """Whether a marker was taken for another, or a reflection for it."""
-    near = _near(e, e.recording.motion.leaps)
-    worst = max(near, key=lambda leap: leap.size, default=None)
-    speed = worst.size if worst else 0.0
-    far = speed > LIMITS["marker_leap"][0]
+    worst = _worst(e, e.recording.motion.leaps)
+    far = worst.size > LIMITS["marker_leap"][0]
     return e.check(
         "marker_leap",
-        speed,
-        worst
-        and f"marker {worst.marker!r} leaps at {worst.time_s:g} s "
-        f"(by {speed:.3g} m/s from frame to frame); it was taken for "
+        worst.size,
+        f"marker {worst.marker!r} leaps at {worst.time_s:g} s "
+        f"(by {worst.size:.3g} m/s from frame to frame); it was taken for "
         "another marker or for a reflection: correct its label, or delete it "
         "in these frames (gaps are filled)",
         limit=None if far else LEAST_LEAP_M_S,
@@ -713,30 +704,27 @@ def _leap(e: Evidence) -> Check:
 
 def _standstill(e: Evidence) -> Check:
     """Whether a marker keeps its place while those beside it move on."""
-    worst = max(
-        _near(e, e.recording.motion.standstills),
-        key=lambda found: found.size,
-        default=None,
-    )
+    worst = _worst(e, e.recording.motion.standstills)
     return e.check(
         "marker_frozen",
-        worst.size if worst else 0.0,
-        worst
-        and f"marker {worst.marker!r} stays in exactly one place from "
+        worst.size,
+        f"marker {worst.marker!r} stays in exactly one place from "
         f"{worst.time_s:g} s on while its segment moves by "
         f"{worst.size:.2g} m; it was filled in, not measured: delete it in "
         "these frames",
     )
 
 
-def _near(e: Evidence, found: Iterable[MarkerFault]) -> list[MarkerFault]:
-    """Those in the used part, and what the filter carries into it."""
+def _worst(e: Evidence, found: Iterable[MarkerFault]) -> MarkerFault:
+    """Of those in the used part, and what the filter carries into it."""
     start, end = e.trial.start_s, e.trial.start_s + e.trial.duration
-    return [
+    near = [
         one
         for one in found
         if start - _LEAP_REACH_S < one.time_s < end + _LEAP_REACH_S
     ]
+    nothing = MarkerFault("", start, 0.0)
+    return max(near, key=lambda one: one.size, default=nothing)
 
 
 def _floor(e: Evidence) -> Iterator[Check]:
@@ -997,7 +985,13 @@ def device_checks(e: Evidence) -> Iterator[Check]:
     spans = np.ptp(human, axis=0)
     yield from _exchanged(e, human, device, np.flatnonzero(spans > _MOVES_DEG))
     if (spans > _FAR_DEG).any():
-        yield _mismatch(e)
+        missed = 100.0 * misfit(e, e, _REACH_S)[0]
+        yield e.check(
+            "encoder_motion",
+            missed,
+            f"{missed:.0f} % of the joints' speed is not in the encoders; the "
+            "file may be of another trial, or its clock far off",
+        )
 
 
 def load_checks(e: Evidence) -> Iterator[Check]:
@@ -1160,16 +1154,6 @@ def misfit(
     return best
 
 
-def _mismatch(e: Evidence) -> Check:
-    found, _ = misfit(e, e, _REACH_S)
-    return e.check(
-        "encoder_motion",
-        100.0 * found,
-        f"{100 * found:.0f} % of the joints' speed is not in the "
-        "encoders; the file may be of another trial, or its clock far off",
-    )
-
-
 def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
     """Whether encoders belong to the trial that names them."""
     known = [e for e in evidence if e.recording.angles is not None]
@@ -1182,7 +1166,12 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
         ]
         if not others:
             continue
-        same = [j for j in others if _equal(e, known[j])]
+        own = e.recording.angles.values
+        same = [
+            j
+            for j in others
+            if np.array_equal(own, known[j].recording.angles.values)
+        ]
         name = known[same[0]].trial.name if same else ""
         best = min(others, key=lambda j, i=i: fits[j, i])
         ratio = _ratio(fits[i, i], max(fits[best, i], hidden))
@@ -1366,11 +1355,6 @@ def _hidden(fits: np.ndarray) -> float:
 def _ratio(own: float, other: float) -> float:
     """How much better another file fits; 0 where nothing can be said."""
     return float(own / max(other, 1e-9)) if np.isfinite(own) else 0.0
-
-
-def _equal(e: Evidence, other: Evidence) -> bool:
-    a, b = (x.recording.angles.values for x in (e, other))
-    return a.shape == b.shape and np.array_equal(a, b)
 
 
 _LAG_REACH_S = 0.06

@@ -156,10 +156,6 @@ def _model_notes(report: dict[str, Any]):
         )
 
 
-def _mean_square(rms: dict[str, float]) -> float:
-    return float(np.sqrt(np.mean(np.square(list(rms.values())))))
-
-
 def _of_trial(subject: SubjectModel, trial: Trial) -> TrialQuality:
     said = trial.provenance
     markers = said["marker_residual_rms_m"]
@@ -200,7 +196,9 @@ def _of_trial(subject: SubjectModel, trial: Trial) -> TrialQuality:
         end_s=trial.start_s + trial.duration,
         marker_rms_m=markers,
         worst_marker=worst,
-        marker_rms_all_m=_mean_square(markers),
+        marker_rms_all_m=float(
+            np.sqrt(np.mean(np.square(list(markers.values()))))
+        ),
         gaps=float(gaps),
         filled_frames=round(
             sum(said["gaps_filled"].values()) * len(trial.times)

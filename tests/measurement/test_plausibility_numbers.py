@@ -480,18 +480,17 @@ def test_plates_that_repeat_themselves():
     F_z[600:1001] = 300.0  # its first sample repeats nothing
     F_z[1200:1240] = 290.0  # 40 ms are too short
     e = forced(F_z, np.linspace(300.0, 800.0, 2000))
-    check = plausibility._flat(e, "left", F_z)
+    check, _ = plausibility._stuck(e, "left", F_z)
     share = 100.0 * 400 / 1500
     assert told(check, "flat_channel") == [(share, 25.0, False)]
     assert "at exactly 300 N for 0.4 s" in check.sentence
     still = forced(F_z, np.linspace(300.0, 340.0, 2000))  # 8 N meanwhile
-    assert told(plausibility._flat(still, "left", F_z), "flat_channel") == [
-        (0.0, 25.0, True)
-    ]
-    check = plausibility._clipped(e, "left", F_z)
+    check, _ = plausibility._stuck(still, "left", F_z)
+    assert told(check, "flat_channel") == [(0.0, 25.0, True)]
+    _, check = plausibility._stuck(e, "left", F_z)
     assert told(check, "saturated_channel") == [(0.0, 0.0, True)]
     F_z[1300:1401] = 350.0
-    check = plausibility._clipped(e, "left", F_z)
+    _, check = plausibility._stuck(e, "left", F_z)
     assert told(check, "saturated_channel") == [(0.1, 0.0, False)]
     # At a slow rate five samples count, however long they are.
     slow = 300.0 + rng.normal(size=40)
