@@ -569,7 +569,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("and driven[0] == driven[1]", ""),
         ("np.eye(by.shape[1]) + by.T @ by", "by.T @ by"),
         ("own / max(other, 1e-9),", "other / max(own, 1e-9),"),
-        ("100.0 * found,", "found,"),
+        ("100.0 * misfit(e, e, _REACH_S)[0]", "misfit(e, e, _REACH_S)[0]"),
         ("np.hypot(fits[i, i], fits[j, j])", "fits[i, i]"),
         ("best = min(best, (share, float(lag)))", "best = share, float(lag)"),
         ("1e3 * lag if is_told else 0.0", "1e3 * lag"),

@@ -50,34 +50,27 @@ _SAMPLES = 65  # of a line that is laid on the surface
 _PATCH_SHARE = 0.8
 
 
-@dataclass(frozen=True)
 class Surface:
     """A triangulated surface, x forward, y left, z up.
 
-    Attributes:
+    Args:
         vertices: (V, 3) [m].
         triangles: (F, 3), outwards.
         source: file name.
     """
 
-    vertices: np.ndarray
-    triangles: np.ndarray
-    source: str
-
-    def __post_init__(self):
-        corners = self.vertices[self.triangles]
-        centres = corners.mean(axis=1)
+    def __init__(
+        self, vertices: np.ndarray, triangles: np.ndarray, source: str
+    ):
+        self.vertices, self.triangles = vertices, triangles
+        self.source = source
+        corners = vertices[triangles]
         a, b, c = corners.transpose(1, 0, 2)
-        area = 0.5 * np.cross(b - a, c - a)
-        boxes = igl.AABB()
-        boxes.init(self.vertices, self.triangles)
-        for name, value in (
-            ("_boxes", boxes),
-            ("_centres", centres),
-            ("_tree", cKDTree(centres)),
-            ("_area", area),
-        ):
-            object.__setattr__(self, name, value)
+        self._area = 0.5 * np.cross(b - a, c - a)
+        self._centres = corners.mean(axis=1)
+        self._tree = cKDTree(self._centres)
+        self._boxes = igl.AABB()
+        self._boxes.init(vertices, triangles)
 
     def closest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Nearest points (P, 3) of the surface, and their triangles (P,)."""
@@ -123,28 +116,17 @@ def _surface(path: Path, unit: str, axes: Axes) -> Surface:
     raw, triangles = read_cells(path, "triangle", "export it again")
     if len(triangles) == 0:
         raise InputError(f"{path}: holds no triangles; export a mesh")
-    check_size(path, raw[np.unique(triangles)], unit)
+    extent = float(np.ptp(raw[np.unique(triangles)], axis=0).max())
+    low, high = _PLAUSIBLE_M
+    if not low <= LENGTHS[unit] * extent <= high:
+        fitting = [u for u, s in LENGTHS.items() if low <= s * extent <= high]
+        hint = f"say 'unit: {' or '.join(fitting)}' in its scan"
+        raise InputError(
+            f"{path}: the scan spans {extent:.4g} {unit} in the study's unit, "
+            f"which no body does; {hint if fitting else 'check the file'}"
+        )
     points = LENGTHS[unit] * raw @ axes.frame.R_PL.T
     return _outwards(Surface(points, triangles, str(path)))
-
-
-def check_size(path, points: np.ndarray, unit: str) -> None:
-    """Refuse a scan in another unit than the study says.
-
-    Raises:
-        InputError: naming the unit that would fit.
-    """
-    extent = float(np.ptp(points, axis=0).max())
-    low, high = _PLAUSIBLE_M
-    if low <= LENGTHS[unit] * extent <= high:
-        return
-    fitting = [u for u, s in LENGTHS.items() if low <= s * extent <= high]
-    hint = " or ".join(fitting)
-    raise InputError(
-        f"{path}: the scan spans {extent:.4g} {unit} in the study's unit, "
-        "which no body does; "
-        + (f"say 'unit: {hint}' in its scan" if fitting else "check the file")
-    )
 
 
 def _outwards(surface: Surface) -> Surface:
@@ -183,17 +165,14 @@ def place_cells(
         InputError: corners or cells are off the surface, or the file of
             cells does not fit the mat.
     """
+    given, what, source = scan.corners, "corner", surface.source
     if scan.cells is not None:
-        given = _read_cells(root / scan.cells, rows, columns)
-    else:
-        given = np.array(scan.corners)
-    points = LENGTHS[scan.unit] * given @ scan.axes.frame.R_PL.T
+        what, source = "cell", root / scan.cells
+        given = _read_cells(source, rows, columns)
+    points = LENGTHS[scan.unit] * np.array(given) @ scan.axes.frame.R_PL.T
     on = surface.closest(points)[0]
     off = np.linalg.norm(on - points, axis=1)
     if off.max() > _FARTHEST_M:
-        what, source = "corner", surface.source
-        if scan.cells is not None:
-            what, source = "cell", root / scan.cells
         raise InputError(
             f"{source}: {what} {int(off.argmax()) + 1} of the mat "
             f"lies {off.max():.3g} m off the scanned surface "
@@ -396,7 +375,12 @@ def cell_directions(
     points = place_cells(surface, scan, mat.rows, mat.columns, root)
     on, triangles = surface.closest(points)
     size = np.sqrt(mat.cell_area_m2)
-    steps = _steps(points.reshape(mat.rows, mat.columns, 3))
+    # Distances of neighbours, from row to row and in a row, if there are.
+    grid = points.reshape(mat.rows, mat.columns, 3)
+    steps = [
+        np.linalg.norm(np.diff(grid, axis=k), axis=2).ravel() for k in (0, 1)
+    ]
+    steps = [d for d in steps if len(d)]
     pitch = np.concatenate(steps).mean() if steps else size
     if not _PITCH[0] < pitch / size < _PITCH[1]:
         raise InputError(
@@ -416,14 +400,6 @@ def cell_directions(
     if steps:
         report["cell_distance_mm"] = 1e3 * float(pitch)
     return -outward @ _to_segment(scan).T, report
-
-
-def _steps(grid: np.ndarray) -> list[np.ndarray]:
-    """Distances of neighbours, from row to row and in a row, if there are."""
-    steps = [
-        np.linalg.norm(np.diff(grid, axis=k), axis=2).ravel() for k in (0, 1)
-    ]
-    return [d for d in steps if len(d)]
 
 
 _AXIS = 0.02, 2.0  # a segment's length [m]

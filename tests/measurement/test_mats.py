@@ -12,10 +12,8 @@ from drake_exo.measurement.mats import (
     Surface,
     _along,
     _seen,
-    _steps,
     _to_segment,
     cell_directions,
-    check_size,
     place_cells,
     read_mat_forces,
     read_surface,
@@ -501,19 +499,13 @@ def test_saturation_shows_in_the_report(folder):
     assert found.report["at_peak_share"] == 1.0
 
 
-def test_places_along_a_bent_line_and_between_cells():
+def test_places_along_a_bent_line():
     line = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [3.0, 1.0, 0.0]])
     found = _along(line, np.array([0.0, 0.375, 0.75, 0.875, 1.0]))
     wanted = [[0, 0, 0], [1.5, 0, 0], [3, 0, 0], [3, 0.5, 0], [3, 1, 0]]
     np.testing.assert_allclose(found, wanted)
     spot = np.tile([1.0, 2.0, 3.0], (4, 1))
     np.testing.assert_allclose(_along(spot, np.array([0.3])), spot[:1])
-    # Two rows of three: 3 steps of 2 m up, 4 steps of 1 m across.
-    y, z = np.meshgrid([0.0, 1.0, 2.0], [0.0, 2.0])
-    grid = np.stack([0.0 * y, y, z], axis=2)
-    up, across = _steps(grid)
-    assert up.tolist() == [2.0] * 3 and across.tolist() == [1.0] * 4
-    assert _steps(grid[:1, :1]) == []
 
 
 def test_a_segments_axes_follow_its_joint_centres():
@@ -543,12 +535,14 @@ def test_cells_that_stand_still_above_all_others_are_stuck(at_pa, stuck):
 
 
 @pytest.mark.parametrize("side", [0.0795, 0.0805, 2.99, 3.01])
-def test_a_body_is_of_8_cm_to_3_m(side):
-    points = np.array([[0.0, 0.0, 0.0], [0.01, side, 0.02]])
+def test_a_body_is_of_8_cm_to_3_m(tmp_path, side):
+    points = np.array([[0.0, 0.0, 0.0], [0.01, side, 0.02], [0.0, 0.0, 0.01]])
+    path = write(tmp_path / "s.stl", 1e3 * points, [[0, 1, 2]])
     if 0.08 <= side <= 3.0:
-        return check_size("s.stl", 1e3 * points, "mm")
+        read_surface(path, scan(unit="mm"))
+        return
     with pytest.raises(InputError, match=r"spans .* mm in the study's unit"):
-        check_size("s.stl", 1e3 * points, "mm")
+        read_surface(path, scan(unit="mm"))
 
 
 def test_cells_lie_as_far_apart_as_they_are_large(folder):
