@@ -162,13 +162,13 @@ class Gaps:
 
     def frames(self, start_s: float, end_s: float) -> dict[str, int]:
         """Unseen frames of each marker from start to end, none left out."""
-        inside = self._inside(start_s, end_s)
+        inside = between(self.time, start_s, end_s)
         counts = {n: int((m & inside).sum()) for n, m in self.unseen.items()}
         return {name: count for name, count in counts.items() if count}
 
     def too_long(self, start_s: float, end_s: float) -> list[Gap]:
         """Gaps that are not filled and reach into a part."""
-        inside = self._inside(start_s, end_s)
+        inside = between(self.time, start_s, end_s)
         return [
             Gap(name, float(self.time[a]), b - a, (b - a) / self.rate_hz)
             for name, mask in self.unseen.items()
@@ -207,9 +207,6 @@ class Gaps:
         if more > 0:
             text += f" and {more} more gaps"
         return f"marker without a value: {text}"
-
-    def _inside(self, start_s: float, end_s: float) -> np.ndarray:
-        return between(self.time, start_s, end_s)
 
     def _is_too_long(self, start: int, end: int) -> bool:
         at_end = start == 0 or end == len(self.time)

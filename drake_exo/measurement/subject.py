@@ -103,14 +103,11 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     device = settings.assembly.device
     welds = device.welds.values() if device else ()
     feet = [weld.to for weld in welds if weld.to.startswith("foot")]
-    if upright is None:
-        ball = _ball(settings, named, standing, person)
-        markers = build_marker_model(standing, named, frame, ball, feet)
-    else:
-        ball = person.human.ball_m if who.toes == "hinged" else None
-        markers = build_marker_model(
-            upright, named, SagittalFrame(), ball, feet
-        )
+    ball = _ball(settings, named, standing, person)
+    places = (standing, named, frame)
+    if upright is not None:
+        places = (upright, named, SagittalFrame())
+    markers = build_marker_model(*places, ball, feet)
     if who.sides and markers.sides != SIDES:
         raise InputError(
             f"{standing.source}: the model has two legs, but only the "
@@ -124,13 +121,17 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
         height = float(np.mean([p[:, 1] for p in ankles.values()]))
         markers = replace(markers, ankle_height_m=height)
     wrench = _standing_wrench(settings, root, ankles)
+    subject = settings.subject
+    table = scale_human(NOMINAL_MASS_KG, subject.height_m, subject.sex)
     report: dict[str, Any] = {
         "stated_mass_kg": settings.subject.mass_kg,
         "standing_residual_rms_m": residual_rms(residuals(markers, poses)),
         "standing_gaps_filled": gaps.frames(*part),
         "ankle_height_m": markers.ankle_height_m,
         "lengths_m": dict(markers.lengths_m),
-        "table_leg_m": _table_leg_m(settings),
+        "table_leg_m": table.ankle_height_m
+        + table.shank.length_m
+        + table.thigh.length_m,
     }
     if settings.assembly.device is not None:
         report["device_notes"] = settings.assembly.device.notes
@@ -223,13 +224,6 @@ def model_markers(
         np.zeros(1), tuple(places), p[None], seen.rate_hz, person.osim.source
     )
     return Markers(joints, SegmentMarkers(**sided)), upright
-
-
-def _table_leg_m(settings: RecordingSettings) -> float:
-    """Height of the hips of somebody so tall, by the table [m]."""
-    subject = settings.subject
-    human = scale_human(NOMINAL_MASS_KG, subject.height_m, subject.sex)
-    return human.ankle_height_m + human.shank.length_m + human.thigh.length_m
 
 
 def _standing_frame(settings: RecordingSettings) -> SagittalFrame:

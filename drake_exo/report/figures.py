@@ -344,43 +344,27 @@ def _wrapped(name: str, width: float) -> str:
 
 def _fill(axes, found: dict[str, Trial | None], trial: Trial, rows) -> None:
     """Panels of one trial: as measured, and as each run has it."""
+    looks = [("measured", trial, _MEASURED, _MEASURED_DEVICE)]
+    for k, (name, solved) in enumerate(found.items()):
+        if solved is None:
+            continue
+        color = _RUNS[k % len(_RUNS)]
+        if name.endswith("uncalibrated"):
+            color = _UNCALIBRATED
+        # Matplotlib leaves names out that begin with "_".
+        said = f" {name}" if name.startswith("_") else name
+        person = {"color": color, "lw": 1.6, "ls": _DASHES[k % len(_DASHES)]}
+        device = {"color": color, "lw": 1.3, "ls": ":"}
+        looks.append((said, solved, person, device))
     for ax, (label, *signals) in zip(axes, rows, strict=False):
-        curves = _measured_curves(trial, signals)
-        for k, (name, solved) in enumerate(found.items()):
-            if solved is not None:
-                color = _RUNS[k % len(_RUNS)]
-                if name.endswith("uncalibrated"):
-                    color = _UNCALIBRATED
-                # Matplotlib leaves names out that begin with "_".
-                said = f" {name}" if name.startswith("_") else name
-                dash = _DASHES[k % len(_DASHES)]
-                curves += _run_curves(solved, said, signals, color, dash)
-        for times, values, style in curves:
-            ax.plot(times, values, **style)
+        for said, moved, *styles in looks:
+            names = said, f"{said}, exoskeleton"
+            for signal, name, style in zip(
+                signals, names, styles, strict=False
+            ):
+                if (values := signal(moved)) is not None:
+                    ax.plot(moved.times, values, label=name, **style)
         ax.set_ylabel(label)
-
-
-def _measured_curves(trial: Trial, signals):
-    styles = (
-        {"label": "measured", **_MEASURED},
-        {"label": "measured, exoskeleton", **_MEASURED_DEVICE},
-    )
-    found = [(signal(trial), style) for signal, style in zip(signals, styles)]  # noqa: B905
-    return [(trial.times, x, style) for x, style in found if x is not None]
-
-
-def _run_curves(trial: Trial, name: str, signals, color, dash):
-    style = {"label": name, "color": color, "lw": 1.6, "ls": dash}
-    curves = [(trial.times, signals[0](trial), style)]
-    for device in signals[1:]:
-        style = {
-            "label": f"{name}, exoskeleton",
-            "color": color,
-            "lw": 1.3,
-            "ls": ":",
-        }
-        curves.append((trial.times, device(trial), style))
-    return [curve for curve in curves if curve[1] is not None]
 
 
 def _finish(figure: Figure, axes) -> None:
