@@ -215,25 +215,46 @@ class Table:
         """Several columns (N, len(names)); raises as `column`."""
         return np.stack([self.column(name) for name in names], axis=1)
 
-    def in_radians(self, angles: Sequence[str] | None = None) -> "Table":
-        """The same table with angles in radians.
+    def in_radians(self, angles: Sequence[str]) -> "Table":
+        """The same table with the columns `angles` in radians.
 
-        Args:
-            angles: columns that are such; by default all whose names do not
-                end in _tx, _ty, _tz, _x, _y or _z.
+        What the header says of them is compared with the angles themselves.
+        No joint turns by more than a full turn, so larger numbers are degrees.
+        Numbers within half a turn that move by more than 20 degrees, read as
+        radians, are taken for radians: read as degrees all joints would stay
+        within 3.2 degrees of zero and yet be in motion.
 
         Raises:
-            InputError: the header does not say degrees or radians, or says
-                what the values cannot be.
+            InputError: header and values contradict each other, or the header
+                says nothing.
         """
-        if angles is None:
-            angles = [n for n in self.names if not is_translation(n)]
+        if self.in_degrees is None:
+            raise InputError(
+                f"{self.source}: the header does not say whether angles are "
+                "in degrees; add 'inDegrees=yes' or 'inDegrees=no'"
+            )
         columns = [self.names.index(name) for name in angles]
-        found = self.values[:, columns]
-        check_angle_unit(self, found)
         values = self.values.copy()
+        # Columns without any value are told where they are asked for.
+        found = values[:, columns]
+        found = found[:, np.isfinite(found).any(axis=0)]
+        largest = np.nanmax(np.abs(found), initial=0.0)
+        motion = (np.nanmax(found, 0) - np.nanmin(found, 0)).max(initial=0.0)
+        if not self.in_degrees and largest > 2.0 * np.pi:
+            raise InputError(
+                f"{self.source}: inDegrees=no, but angles reach "
+                f"{largest:.4g}, which can only be degrees; correct the header "
+                "to inDegrees=yes"
+            )
+        if self.in_degrees and largest <= np.pi and motion > np.deg2rad(20.0):
+            raise InputError(
+                f"{self.source}: inDegrees=yes, but no angle exceeds "
+                f"{largest:.3g}, so these look like radians; correct the "
+                "header to inDegrees=no, or write so small a movement in "
+                "radians"
+            )
         if self.in_degrees:
-            values[:, columns] = np.deg2rad(found)
+            values[:, columns] = np.deg2rad(values[:, columns])
         return replace(self, values=values, in_degrees=False)
 
 
@@ -339,47 +360,6 @@ def runs(mask: np.ndarray) -> list[list[int]]:
     """Start and end of each run of True in a (N,) bool."""
     edges = np.flatnonzero(np.diff(np.r_[0, mask, 0]))
     return edges.reshape(-1, 2).tolist()
-
-
-def is_translation(name: str) -> bool:
-    """Whether a coordinate's name says that it is a length."""
-    return name.endswith(("_tx", "_ty", "_tz", "_x", "_y", "_z"))
-
-
-def check_angle_unit(table: Table, angles: np.ndarray) -> None:
-    """Compare what the header says of angles with the angles themselves.
-
-    No joint turns by more than a full turn, so larger numbers are degrees.
-    Numbers within half a turn that move by more than 20 degrees, read as
-    radians, are taken for radians: read as degrees all joints would stay
-    within 3.2 degrees of zero and yet be in motion.
-
-    Raises:
-        InputError: header and values contradict each other, or the header
-            says nothing.
-    """
-    if table.in_degrees is None:
-        raise InputError(
-            f"{table.source}: the header does not say whether angles are in "
-            "degrees; add 'inDegrees=yes' or 'inDegrees=no'"
-        )
-    # Columns without any value are told where they are asked for.
-    angles = angles[:, np.isfinite(angles).any(axis=0)]
-    if angles.size == 0:
-        return
-    largest = np.nanmax(np.abs(angles))
-    motion = np.nanmax(np.nanmax(angles, 0) - np.nanmin(angles, 0))
-    if not table.in_degrees and largest > 2.0 * np.pi:
-        raise InputError(
-            f"{table.source}: inDegrees=no, but angles reach {largest:.4g}, "
-            "which can only be degrees; correct the header to inDegrees=yes"
-        )
-    if table.in_degrees and largest <= np.pi and motion > np.deg2rad(20.0):
-        raise InputError(
-            f"{table.source}: inDegrees=yes, but no angle exceeds "
-            f"{largest:.3g}, so these look like radians; correct the header "
-            "to inDegrees=no, or write so small a movement in radians"
-        )
 
 
 def uniform_time(

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from angles import in_radians
 
 from drake_exo.cli import main
 from drake_exo.files.opensim import read_table
@@ -77,7 +78,7 @@ def test_intervals_are_reported(summary):
 @pytest.mark.slow
 def test_trajectories_are_read_back(calibrated):
     table = read_table(calibrated / "rise1_coordinates.sto")
-    table = table.in_radians()
+    table = in_radians(table)
     assert table.names[:3] == ("foot_x", "foot_z", "foot_pitch")
     assert np.isfinite(table.values).all()
 

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from angles import in_radians
 from refusals import refusal
 
 from drake_exo.errors import InputError
@@ -40,7 +41,7 @@ def write(tmp_path, text, name="a.mot"):
 
 def read_coordinates(path):
     """Joint angles, in radians whatever the file has."""
-    return read_table(path).in_radians()
+    return in_radians(read_table(path))
 
 
 def test_reads_degrees_as_radians(tmp_path, knee):

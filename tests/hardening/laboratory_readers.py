@@ -4,6 +4,7 @@ from pathlib import Path
 
 import meshio
 import numpy as np
+from angles import in_radians
 from plate_types import PlateDesign, write_types
 from small_osim import small_osim
 from sound_files import written
@@ -121,7 +122,7 @@ def laboratory() -> dict:
             "text",
             written(lambda p: write_table(p, _joints())),
             lambda p: (
-                read_table(p).in_radians(),
+                in_radians(read_table(p)),
                 read_angles(p, _JOINTS, "both", Filter()),
             ),
         ),

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from angles import in_radians
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
@@ -211,7 +212,7 @@ def with_sliding_knees(osim, q, v, a):
 @pytest.fixture(scope="module")
 def walk(data_root):
     folder = data_root / "opensim_gait10dof"
-    ik = read_table(folder / "subject01_walk_IK.mot").in_radians()
+    ik = in_radians(read_table(folder / "subject01_walk_IK.mot"))
     time = uniform_time(ik.source, ik.time)
     # OpenSim's tool: third order each way, cut-off not corrected, padded by
     # half the recording; its setup for this example says 6 Hz.

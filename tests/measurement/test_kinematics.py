@@ -3,6 +3,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from angles import in_radians
 from osim_kinematics import Osim
 from synthetic_recording import marker_data, motion, study_text
 
@@ -232,7 +233,7 @@ def opencap(data_root, request):
     recording = process(file.trials[0], subject, file, study.root)
     motion = recording.motion
     folder = data_root / "opencap_subject4"
-    ik = read_table(folder / "IK/STS1_ik.mot").in_radians()
+    ik = in_radians(read_table(folder / "IK/STS1_ik.mot"))
     osim = Osim(folder / "Models/optimized_scale_and_markers.osim")
     X = osim.poses({name: ik.column(name) for name in ik.names})
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from angles import in_radians
 
 from drake_exo.files.c3d import read_c3d
 from drake_exo.files.opensim import read_plates, read_table, read_trc
@@ -24,7 +25,7 @@ from drake_exo.virtual_laboratory.instruments import (
     Laboratory,
     Marker,
     Skin,
-    _design,
+    _corners,
     draw_faults,
     draw_skin,
     empty_plate_levels,
@@ -504,22 +505,18 @@ def test_plates_lie_under_feet_and_chair():
     """Left is left of right, the chair behind; z of each points down."""
     middles = {}
     for place in PLATES:
-        corners = _design(place).corners
+        corners = _corners(place)
         middles[place] = corners.mean(axis=0)
         axes = plate_axes(corners)
         np.testing.assert_allclose(axes[:, 2], [0.0, 0.0, -1.0], atol=1e-12)
     np.testing.assert_allclose(middles["left"], [0.06, 0.09, 0.0])
     np.testing.assert_allclose(middles["right"], [0.06, -0.09, 0.0])
     np.testing.assert_allclose(middles["chair"], [-0.45, 0.0, 0.0])
-    assert np.ptp(_design("chair").corners, axis=0)[:2] == pytest.approx(
-        [0.48, 0.5]
-    )
-    assert np.ptp(_design("left").corners, axis=0)[:2] == pytest.approx(
-        [0.5, 0.17]
-    )
+    assert np.ptp(_corners("chair"), axis=0)[:2] == pytest.approx([0.48, 0.5])
+    assert np.ptp(_corners("left"), axis=0)[:2] == pytest.approx([0.5, 0.17])
     # For walks they go further, forward.
     for place in PLATES:
-        (short, long) = (_design(place, more).corners for more in (0.0, 3.0))
+        (short, long) = (_corners(place, more) for more in (0.0, 3.0))
         more = [0.0, 0.0] if place == "chair" else [0.0, 3.0]
         ends = [np.array([x.min(), x.max()]) for x in (short[:, 0], long[:, 0])]
         np.testing.assert_allclose(ends[1] - ends[0], more, atol=1e-12)
@@ -573,7 +570,7 @@ def written_files(tmp_path, files):
         return found.markers, found.plate_time, plates, signals
     markers = read_trc(folder / paths["markers"])
     time, plates = read_plates(folder / paths["forces"])
-    signals = [read_table(device[0]).in_radians(), read_table(device[1])]
+    signals = [in_radians(read_table(device[0])), read_table(device[1])]
     return markers, time, list(plates.values()), signals
 
 
