@@ -81,12 +81,12 @@ def read_c3d(path: str | Path) -> C3d:
     path = Path(path)
     file = decode(path)
     markers = _markers(path, file)
-    analog, units = _analog(path, file)
+    analog = _analog(path, file)
     used = file.numbers("FORCE_PLATFORM", "USED")
     count = 0 if used is None else int(np.clip(used.flat[0], 0, _MOST_PLATES))
     return C3d(
         markers=markers,
-        plates=_Plates(count, path, file, analog, units),
+        plates=_Plates(count, path, file, analog),
         plate_time=np.zeros(0) if analog is None else analog.time,
         analog=analog,
     )
@@ -257,20 +257,20 @@ def _markers(path, file: C3dContents) -> MarkerData | None:
     )
 
 
-def _analog(path, file: C3dContents) -> tuple[Table | None, dict[str, str]]:
+def _analog(path, file: C3dContents) -> Table | None:
     if file.analogs.size == 0:
-        return None, {}
+        return None
     values = _scaled(path, file)
     names = _unique(file.texts("ANALOG", "LABELS"), values.shape[1], "channel")
     units = file.texts("ANALOG", "UNITS")
     units += [""] * (len(names) - len(units))
-    table = Table(
+    return Table(
         time=np.arange(len(values)) / file.analog_rate_hz,
         names=names,
         values=values,
         source=str(path),
+        units=tuple(units[: len(names)]),
     )
-    return table, dict(zip(names, units, strict=False))
 
 
 def _scaled(path, file: C3dContents) -> np.ndarray:
@@ -342,14 +342,14 @@ class _Plate:
         corners: (4, 3) [m].
     """
 
-    def __init__(self, number, path, file: C3dContents, analog, units):
+    def __init__(self, number, path, file: C3dContents, analog):
         self._path, self._number, self._file = path, number, file
         self._name = f"force plate {number}"
         self._kind = self._type()
         self._length = _point_unit(path, file)
         self.corners = self._length * self._corners()
         self._origin = self._length * self._signals_origin()
-        self._raw, self._units = self._signals(analog, units)
+        self._raw, self._units = self._signals(analog)
         if self._kind == 4:
             self._raw = self._raw @ self._calibration().T
 
@@ -452,7 +452,7 @@ class _Plate:
             raise self._error("has no FORCE_PLATFORM:ORIGIN; complete it")
         return -origin if origin[2] > 0.0 else origin
 
-    def _signals(self, analog, units) -> tuple[np.ndarray, list[str]]:
+    def _signals(self, analog) -> tuple[np.ndarray, list[str]]:
         """Channels (N, 6 or 8) as the file holds them, and their units."""
         channels = self._parameter("CHANNEL", 2)
         count = _CHANNELS[self._kind]
@@ -470,7 +470,7 @@ class _Plate:
         values = analog.values[:, index]
         if not (np.abs(values) < _LARGEST).all():
             raise self._error("has gaps in its channels; export it again")
-        return values, [units[analog.names[i]] for i in index]
+        return values, [analog.units[i] for i in index]
 
     def _calibration(self) -> np.ndarray:
         matrix = self._parameter("CAL_MATRIX", 3)

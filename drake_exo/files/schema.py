@@ -230,7 +230,11 @@ class _Reader:
         fields = {_key(f): f for f in dataclasses.fields(cls) if f.init}
         for text, (key, _) in items.items():
             if text not in fields:
-                raise self.error(key, _unknown(text, list(fields), where))
+                known = f"; known keys are {', '.join(fields)}"
+                hint = nearest(text, fields) or known
+                raise self.error(
+                    key, f"unknown key {text!r}{_inside(where)}{hint}"
+                )
         values = {}
         for name, field in fields.items():
             if name in items:
@@ -240,7 +244,7 @@ class _Reader:
                     f"{where}.{name}" if where else name,
                     field.metadata,
                 )
-            elif not _has_default(field):
+            elif field.default is field.default_factory is dataclasses.MISSING:
                 unit = field.metadata.get("unit")
                 raise self.error(
                     node,
@@ -272,14 +276,12 @@ class _Reader:
                 errors.append(error)
         # The message of the option that understood the most is the one that
         # helps; a mapping was meant as a dataclass, a list as a sequence.
-        if len(errors) > 1:
-            fitting = [
-                e
-                for e, o in zip(errors, options, strict=True)
-                if _same_shape(node, o)
-            ]
-            raise (fitting or errors)[0]
-        raise errors[0]
+        fitting = [
+            e
+            for e, o in zip(errors, options, strict=True)
+            if _same_shape(node, o)
+        ]
+        raise (fitting or errors)[0]
 
     def _literal(self, node: yaml.Node, hint: Any, where: str) -> Any:
         choices = typing.get_args(hint)
@@ -436,13 +438,6 @@ def _key(field: dataclasses.Field) -> str:
     return field.metadata.get("key", field.name)
 
 
-def _has_default(field: dataclasses.Field) -> bool:
-    return (
-        field.default is not dataclasses.MISSING
-        or field.default_factory is not dataclasses.MISSING
-    )
-
-
 def _is_null(node: yaml.Node) -> bool:
     return (
         isinstance(node, yaml.ScalarNode)
@@ -473,8 +468,3 @@ def _short(text: str) -> str:
 
 def _inside(where: str) -> str:
     return f" in {where}" if where else ""
-
-
-def _unknown(text: str, names: list[str], where: str) -> str:
-    hint = nearest(text, names) or f"; known keys are {', '.join(names)}"
-    return f"unknown key {text!r}{_inside(where)}{hint}"

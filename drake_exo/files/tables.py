@@ -189,7 +189,8 @@ class Table:
         values: (N, C), units as `source` says; NaN where missing.
         in_degrees: what the file's header says of angles, None if nothing.
         source: file name, for messages and provenance.
-        units: that a CSV's header names, before they were made SI.
+        units: of each column as the file names it, if it does; of a CSV
+            before values were made SI.
     """
 
     time: np.ndarray

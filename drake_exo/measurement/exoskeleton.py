@@ -19,11 +19,7 @@ from drake_exo.files.tables import (
     read_csv_table,
     uniform_time,
 )
-from drake_exo.measurement.filters import (
-    check_filterable,
-    derivatives,
-    resample,
-)
+from drake_exo.measurement.filters import derivatives, resample
 from drake_exo.measurement.settings import Device, Filter, Legs
 from drake_exo.model.assembly import SIDES
 from drake_exo.model.coordinates import Coordinates
@@ -114,7 +110,6 @@ def _read(path, joints, legs, settings: Filter, ending: str) -> Signal:
     table = _table(path, joints, ending)
     time = uniform_time(table.source, table.time)
     rate = (len(time) - 1) / (time[-1] - time[0])
-    check_filterable(table.source, len(time), rate, settings.cutoff_hz)
     values = np.column_stack(
         [_of_legs(table, joint + ending, legs) for joint in joints]
     )

@@ -31,7 +31,6 @@ from drake_exo.files.tables import (
     read_text,
     uniform_time,
 )
-from drake_exo.measurement.filters import check_filterable
 from drake_exo.measurement.settings import (
     Axes,
     Filter,
@@ -275,7 +274,6 @@ def read_mat_forces(
         recording = _read(root / file.file, file.mats, mats)
         time = uniform_time(recording.source, recording.time)
         rate = (len(time) - 1) / (time[-1] - time[0])
-        check_filterable(recording.source, len(time), rate, settings.cutoff_hz)
         for name in file.mats:
             mat = mats[name]
             inward, report = cell_directions(mat, name, root)

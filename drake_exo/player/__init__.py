@@ -6,10 +6,10 @@ alone, so that a page holds each mesh once, however many clips it plays.
 """
 
 import base64
-import html
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from importlib.resources import files
 from pathlib import Path
 
@@ -161,7 +161,7 @@ def write_page(
         f"<script>{_asset('player.js')}</script>\n"
     )
     head = head.replace(
-        "<title>Drake MeshCat</title>", f"<title>{_text(page.title)}</title>"
+        "<title>Drake MeshCat</title>", f"<title>{escape(page.title)}</title>"
     )
     text = head + inserted + body_end + tail
     replace_file(Path(path), text.encode())
@@ -181,10 +181,6 @@ def _asset(name: str) -> str:
     return files("drake_exo.player").joinpath(name).read_text("utf-8")
 
 
-def _text(text: str) -> str:
-    return html.escape(text)
-
-
 def _speeds(chosen: float) -> str:
     return "".join(
         f'<option value="{s:g}"{" selected" if s == chosen else ""}>'
@@ -197,28 +193,28 @@ def _card(page: Page, clips: Sequence[Clip]) -> str:
     """Title, choice of clip, legend and switches."""
     groups: dict[str, list[str]] = {}
     for number, clip in enumerate(clips):
-        option = f'<option value="{number}">{_text(clip.title)}</option>'
+        option = f'<option value="{number}">{escape(clip.title)}</option>'
         groups.setdefault(clip.group, []).append(option)
     chooser = "".join(
-        f'<optgroup label="{_text(group)}">{"".join(options)}</optgroup>'
+        f'<optgroup label="{escape(group)}">{"".join(options)}</optgroup>'
         for group, options in groups.items()
     )
     parts = [
-        f"<h1>{_text(page.title)}</h1>",
+        f"<h1>{escape(page.title)}</h1>",
         f'<select id="player-clip" aria-label="trial">{chooser}</select>',
         '<p class="player-mark" id="player-mark"></p>',
         '<p class="player-quiet" id="player-note"></p>',
     ]
     if page.ghost is not None:
         parts.append(
-            f"<p>{_text(page.ghost_text)}: "
+            f"<p>{escape(page.ghost_text)}: "
             '<select id="player-ghost"><option value="over">overlaid'
             '</option><option value="beside">side by side</option>'
             '<option value="hidden">hidden</option></select></p>'
         )
     boxes = "".join(
         f'<label><input type="checkbox" id="player-switch-{i}" checked> '
-        f"{_text(name)}</label>"
+        f"{escape(name)}</label>"
         for i, name in enumerate(page.switches)
     )
     parts += [f"<p>{boxes}</p>", _arrow_table(page), *page.legend]
@@ -228,7 +224,7 @@ def _card(page: Page, clips: Sequence[Clip]) -> str:
 def _arrow_table(page: Page) -> str:
     rows = [
         f'<tr><td><span class="player-swatch" style="background:{a.colour};'
-        f'opacity:{a.opacity}"></span></td><td>{_text(a.text)}</td>'
+        f'opacity:{a.opacity}"></span></td><td>{escape(a.text)}</td>'
         f'<td class="number" id="player-value-{a.name}"></td></tr>'
         for a in page.arrows
         if a.text
