@@ -1,5 +1,6 @@
 """The subject's model, fitted to a standing trial."""
 
+from collections import defaultdict
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -182,24 +183,18 @@ def model_markers(
         Names by segment, and where they and the joint centres are in the
         sagittal plane of the model at its zeros, in OpenSim's axes.
     """
-    centres = {
-        (joint, side): f"{joint} of {person.osim.source}, {side}"
-        for side, own in person.places.items()
-        for joint in own
-        if joint in LEG_JOINTS
-    }
-    places = {
-        name: person.places[side][joint]
-        for (joint, side), name in centres.items()
-    }
-    lists: dict[str, dict[str, list[str]]] = {}
+    centres, places = {}, {}
+    for side, own in person.places.items():
+        for joint in LEG_JOINTS:
+            name = f"{joint} of {person.osim.source}, {side}"
+            centres[joint, side], places[name] = (name,), own[joint]
+    lists = defaultdict(lambda: defaultdict(list))
     for name, (segment, side, place) in person.markers.items():
         if name not in seen.names:
             continue
         if segment == "toes" and who.toes == "rigid":
             continue  # they bend against the foot
         places[name] = place
-        lists.setdefault(segment, {}).setdefault(side or "middle", [])
         lists[segment][side or "middle"].append(name)
     sided = {
         segment: SidedMarkers(**{k: tuple(v) for k, v in names.items()})
@@ -211,19 +206,15 @@ def model_markers(
             f"{seen.source}: has no marker that {person.osim.source} has on "
             f"the {missing[0]}; list markers in the study"
         )
-    joints = JointCentres(
-        **{
-            joint: SidedMarkers(
-                **{side: (centres[joint, side],) for side in SIDES}
-            )
-            for joint in LEG_JOINTS
-        }
-    )
+    joints = {
+        joint: SidedMarkers(**{side: centres[joint, side] for side in SIDES})
+        for joint in LEG_JOINTS
+    }
     p = np.array([[z.real, z.imag, 0.0] for z in places.values()])
     upright = MarkerData(
         np.zeros(1), tuple(places), p[None], seen.rate_hz, person.osim.source
     )
-    return Markers(joints, SegmentMarkers(**sided)), upright
+    return Markers(JointCentres(**joints), SegmentMarkers(**sided)), upright
 
 
 def _standing_frame(settings: RecordingSettings) -> SagittalFrame:

@@ -61,13 +61,11 @@ class Copy:
         body: of the model.
         frame: the planar body's frame on it.
         end: of names, such as "_r"; empty for what there is once.
-        share: of stiffness and mass.
     """
 
     body: str
     frame: Pose
     end: str
-    share: float
 
 
 class Copies:
@@ -91,19 +89,19 @@ class Copies:
         """Of the copies of what is not of one side."""
         return ("",) if self.who.sides else tuple(ENDS.values())
 
+    @property
+    def share(self) -> float:
+        """Of stiffness and mass that each of them has."""
+        return 1.0 / len(self.ends)
+
     def of(self, segment: str) -> Iterator[Copy]:
         """Copies of a segment of the person."""
         part, _, side = segment.partition("_")
-        share = 1.0 / len(self.ends)
         for end in self.ends:
             own = side or next((s for s, e in ENDS.items() if e == end), "")
             body = "pelvis" if part == "pelvis" else _BODIES[part] + ENDS[own]
-            yield Copy(
-                body,
-                self._frame(body, part, own),
-                end or (ENDS[own] if own else ""),
-                share,
-            )
+            named = end or (ENDS[own] if own else "")
+            yield Copy(body, self._frame(body, part, own), named)
 
     def _frame(self, body: str, part: str, side: str) -> Pose:
         """A segment's frame on a body of the model, at its zeros."""
@@ -640,7 +638,7 @@ def _add_spheres(file, copies: Copies, contact: ContactModel) -> None:
                 )
                 values = {
                     # The force is in proportion to it.
-                    "stiffness": copy.share * sphere.stiffness,
+                    "stiffness": copies.share * sphere.stiffness,
                     "dissipation": sphere.dissipation,
                     **constants,
                 }
@@ -649,12 +647,12 @@ def _add_spheres(file, copies: Copies, contact: ContactModel) -> None:
 
 
 def _add_cuffs(file, copies: Copies, contact: ContactModel) -> None:
+    t = copies.share
     for name, b in contact.bushings.items():
         links = copies.model.assembly.cuffs[name]
         held, frame = _held(copies, name)
         for copy in copies.of(links.human):
-            kind, springs = _springs(b, copy.share)
-            t = copy.share
+            kind, springs = _springs(b, t)
             values = {
                 **springs,
                 "rotational_damping": (0, 0, t * b.rotational_damping),
@@ -747,14 +745,13 @@ def _add_device(file, copies: Copies) -> tuple[Link, ...]:
         central = M_B.Shift(com).CalcRotationalInertia().CopyToFullMatrix3()
         hinge = joint.num_positions() == 1
         for end, on in _ends_of(copies, parent, segments):
-            share = 1.0 / len(copies.ends)
             file.add(
                 "BodySet",
                 xml.body(
                     f"{child}{end}",
-                    share * M_B.get_mass(),
+                    copies.share * M_B.get_mass(),
                     _Q @ com,
-                    share * _Q @ central @ _Q.T,
+                    copies.share * _Q @ central @ _Q.T,
                 ),
             )
             name = f"{joint.name()}{end}" if hinge else f"{child}{end}_weld"

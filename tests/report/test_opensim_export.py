@@ -560,9 +560,7 @@ def test_what_cannot_be_reached_is_refused(tmp_path, monkeypatch, off):
     """After the last step a hundredth of a micrometre may be left."""
     (tmp_path / "m.osim").write_text(small_osim())
     osim = read_osim(tmp_path / "m.osim")
-    pelvis = opensim_export.Copy(
-        "pelvis", Pose(np.eye(3), np.zeros(3)), "", 1.0
-    )
+    pelvis = opensim_export.Copy("pelvis", Pose(np.eye(3), np.zeros(3)), "")
     names = opensim_export._root(osim)
     assert names == ["pelvis_tilt", "pelvis_tx", "pelvis_ty"]
     q, v = {name: np.zeros(1) for name in names}, {}
