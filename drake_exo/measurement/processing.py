@@ -55,11 +55,10 @@ from drake_exo.measurement.recording import (
     check_loaded,
     common_time,
     force_delay,
-    merge_plates,
     read_feet,
     read_markers,
 )
-from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.sagittal import PlanarWrench, merge_plates
 from drake_exo.measurement.settings import (
     Device,
     Load,

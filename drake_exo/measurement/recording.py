@@ -23,7 +23,6 @@ from drake_exo.files.tables import (
 from drake_exo.measurement.filters import check_filterable, resample
 from drake_exo.measurement.sagittal import (
     PlanarWrench,
-    merge_feet,
     spatial_wrench,
 )
 from drake_exo.measurement.settings import (
@@ -413,22 +412,6 @@ def check_empty(source: object, wrenches: Iterable[np.ndarray]) -> None:
             f"{source}: empty_plates bear {borne:.0f} N; name a recording of "
             "the plates with nothing on them, or leave the key out"
         )
-
-
-def merge_plates(
-    feet: dict[str, PlanarWrench], ankles: dict[str, np.ndarray]
-) -> tuple[PlanarWrench, dict[str, float]]:
-    """Both feet's wrench, and the shift of each plate [m]; see `merge_feet`.
-
-    Args:
-        feet: "left" and "right", one of them, or "both".
-        ankles: side -> (N, 2) ankle centres [m], of the legs that are known.
-    """
-    if "both" in feet:
-        return feet["both"], {"both": 0.0}
-    places = {side: float(p[:, 0].mean()) for side, p in ankles.items()}
-    middle = float(np.mean(list(places.values())))
-    return merge_feet(feet, dict.fromkeys(feet, middle) | places)
 
 
 # What amplifiers are off at most; more is somebody on them.

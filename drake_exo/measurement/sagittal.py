@@ -213,8 +213,8 @@ def spatial_wrench(plate: PlateRecording, frame: SagittalFrame) -> np.ndarray:
     )
 
 
-def merge_feet(
-    wrenches: dict[str, PlanarWrench], ankles_x: dict[str, float]
+def merge_plates(
+    feet: Mapping[str, PlanarWrench], ankles: Mapping[str, np.ndarray]
 ) -> tuple[PlanarWrench, dict[str, float]]:
     """Both feet's plates as one, each taken into its own foot's frame.
 
@@ -224,16 +224,19 @@ def merge_feet(
     mean of both.
 
     Args:
-        wrenches: by side, of one or two feet. One foot alone counts twice.
-        ankles_x: fore-aft place of each ankle [m], of a foot without a plate,
-            too: the mean is of all.
+        feet: "left" and "right"; one of them, which counts twice; or "both".
+        ankles: side -> (N, 2) ankle centres [m], of the legs that are known,
+            of a foot without a plate, too: the mean is of all.
 
     Returns:
-        The sum, and the shift applied to each side [m].
+        The sum, and the shift applied to each [m].
     """
-    middle = float(np.mean(list(ankles_x.values())))
-    shifts = {side: middle - ankles_x[side] for side in wrenches}
-    moved = [w.shifted(shifts[side]) for side, w in wrenches.items()]
+    if "both" in feet:
+        return feet["both"], {"both": 0.0}
+    x = {side: float(p[:, 0].mean()) for side, p in ankles.items()}
+    middle = float(np.mean(list(x.values())))
+    shifts = {side: middle - x.get(side, middle) for side in feet}
+    moved = [w.shifted(shifts[side]) for side, w in feet.items()]
     if len(moved) == 1:
         return moved[0].doubled(), shifts
     return moved[0] + moved[1], shifts

@@ -21,11 +21,14 @@ from drake_exo.measurement.kinematics import (
 )
 from drake_exo.measurement.recording import (
     check_loaded,
-    merge_plates,
     read_feet,
     read_markers,
 )
-from drake_exo.measurement.sagittal import PlanarWrench, SagittalFrame
+from drake_exo.measurement.sagittal import (
+    PlanarWrench,
+    SagittalFrame,
+    merge_plates,
+)
 from drake_exo.measurement.settings import (
     Axes,
     JointCentres,

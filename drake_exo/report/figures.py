@@ -827,24 +827,17 @@ class ContactCurves:
             transition_velocity=self.transition_velocity,
         )
 
-    def stiffness(self, law: str) -> float:
-        """Stiffness in the law's own definition."""
+    def parameters(self, law: str) -> tuple:
+        """Of a sphere, its stiffness in the law's own definition."""
+        stiffness = self.modulus
         if law == "paper":
-            return paper_stiffness(self.modulus)
-        return self.modulus
+            stiffness = paper_stiffness(self.modulus)
+        return stiffness, self.dissipation, self.radius, self.constants(law)
 
     def normal(self, law: str, indentation, rate: float = 0.0):
         """Normal force [N] at indentations [m] and a rate [m/s]."""
-        return sphere_force(
-            law,
-            indentation,
-            rate,
-            0.0,
-            self.stiffness(law),
-            self.dissipation,
-            self.radius,
-            self.constants(law),
-        )[0]
+        given = self.parameters(law)
+        return sphere_force(law, indentation, rate, 0.0, *given)[0]
 
 
 def measures(curves: ContactCurves) -> dict:
@@ -856,16 +849,8 @@ def measures(curves: ContactCurves) -> dict:
         friction coefficient without its viscous part.
     """
     x = np.linspace(-0.05, 0.0, 1001)
-    away = sphere_force_derivatives(
-        "paper",
-        x,
-        0.0,
-        0.0,
-        curves.stiffness("paper"),
-        curves.dissipation,
-        curves.radius,
-        curves.constants("paper"),
-    )
+    given = curves.parameters("paper")
+    away = sphere_force_derivatives("paper", x, 0.0, 0.0, *given)
     dry = replace(curves.constants("paper"), viscous_friction=0.0)
     ratio = np.linspace(0.0, 4.0, 4001)
     mu = friction_coefficient("paper", ratio * dry.transition_velocity, dry)

@@ -2,12 +2,11 @@ import numpy as np
 import pytest
 
 from drake_exo.files.tables import PlateRecording
-from drake_exo.measurement.recording import merge_plates
 from drake_exo.measurement.sagittal import (
     PlanarWrench,
     SagittalFrame,
     external_loads,
-    merge_feet,
+    merge_plates,
     spatial_wrench,
 )
 
@@ -82,7 +81,8 @@ def test_shifting_load_between_staggered_feet_keeps_the_cop():
         wrenches[side] = PlanarWrench(
             np.column_stack([0.1 * F_z, F_z]), -(ankles[side] + 0.05) * F_z
         )
-    merged, shifts = merge_feet(wrenches, ankles)
+    at = {side: np.array([[x, 0.0]]) for side, x in ankles.items()}
+    merged, shifts = merge_plates(wrenches, at)
     np.testing.assert_allclose(merged.cop_x, 0.05)
     assert shifts == {"left": -0.03, "right": 0.03}
     np.testing.assert_allclose(merged.force, [[60.0, 600.0]] * 5)
@@ -90,7 +90,8 @@ def test_shifting_load_between_staggered_feet_keeps_the_cop():
 
 def test_one_foot_counts_twice():
     wrench = PlanarWrench(np.array([[10.0, 300.0]]), np.array([-30.0]))
-    merged, shifts = merge_feet({"right": wrench}, {"right": 0.1})
+    at = np.array([[0.1, 0.0]])
+    merged, shifts = merge_plates({"right": wrench}, {"right": at})
     np.testing.assert_allclose(merged.force, [[20.0, 600.0]])
     np.testing.assert_allclose(merged.cop_x, [0.1])
     assert shifts == {"right": 0.0}
