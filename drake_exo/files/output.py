@@ -273,18 +273,19 @@ def _read_manifest(folder: Path) -> set[str]:
     # Of a damaged one what is still the name of a file.
     lines = os.fsdecode(text).split("\n")
     names = {line.replace("\0", "\n") for line in lines if line}
-    return {name for name in names if _is_inside(folder, name)}
+    # A name means something in the folder, nothing beyond it.
+    whole = folder.resolve()
+    return {
+        name
+        for name in names
+        if (folder / name).parent.resolve().is_relative_to(whole)
+    }
 
 
 def _own(folder: Path) -> set[str]:
     """What runs have written into a folder, finished or not."""
     listed = _read_manifest(folder)
     return _files(folder) - listed if _WHOLE in listed else listed
-
-
-def _is_inside(folder: Path, name: str) -> bool:
-    """Whether a name from a file means something in a folder, not beyond."""
-    return (folder / name).parent.resolve().is_relative_to(folder.resolve())
 
 
 def _write_manifest(folder: Path, names: set[str]) -> None:

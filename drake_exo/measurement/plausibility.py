@@ -1238,26 +1238,6 @@ def _best_lag(
     return 1e3 * lag if is_told else 0.0, better
 
 
-def _common_clock(evidence: Sequence[Evidence], missed: np.ndarray) -> Check:
-    """Of all trials together: skin moves the clock of each another way.
-
-    Args:
-        evidence: of k trials.
-        missed: (k, lags) misfits over `_LAGS_S`.
-    """
-    together = np.linalg.norm(missed, axis=0)
-    lag, better = _best_lag(together, _COMMON_BETTER, _COMMON_S)
-    return evidence[0].check(
-        "force_clock",
-        abs(lag),
-        f"forces of all {len(evidence)} trials fit the motion {better:.2g} "
-        f"times better {lag:+.0f} ms away; plates are filtered otherwise, or "
-        "their clock is not the markers' (laboratory.estimate_force_delay)",
-        limit=LARGEST_COMMON_LAG_MS,
-        level="note",
-    )
-
-
 def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
     """Whether plates keep the markers' time, and are of the trial itself."""
     if not evidence:
@@ -1266,7 +1246,19 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
         [[force_misfit(e, e, lag) for lag in _LAGS_S] for e in evidence]
     )
     if len(evidence) > 1:
-        yield _common_clock(evidence, missed)
+        # Of all together: skin moves the clock of each another way.
+        together = np.linalg.norm(missed, axis=0)
+        lag, better = _best_lag(together, _COMMON_BETTER, _COMMON_S)
+        yield evidence[0].check(
+            "force_clock",
+            abs(lag),
+            f"forces of all {len(evidence)} trials fit the motion {better:.2g} "
+            f"times better {lag:+.0f} ms away; plates are filtered otherwise, "
+            "or their clock is not the markers' "
+            "(laboratory.estimate_force_delay)",
+            limit=LARGEST_COMMON_LAG_MS,
+            level="note",
+        )
     # Of each movement with each file.
     fits = np.array([[force_misfit(e, o) for o in evidence] for e in evidence])
     for i, e in enumerate(evidence):

@@ -131,16 +131,13 @@ def _ground_rows(trial: Trial) -> list[tuple]:
 
 def kinematics_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
     """Joint angles and velocities of human and exoskeleton (Figs. 3, 6)."""
-    rows = _angle_rows(trials[0]) + _velocity_rows(trials[0])
+    rows = [
+        row for signal in _JOINTS for row in _joint_rows(trials[0], *signal)
+    ]
     return _drawn(runs, trials, rows, height=1.35)
 
 
-def _angle_rows(trial: Trial) -> list[tuple]:
-    return _joint_rows(trial, Trial.coordinate, "°")
-
-
-def _velocity_rows(trial: Trial) -> list[tuple]:
-    return _joint_rows(trial, Trial.velocity, "°/s")
+_JOINTS = (Trial.coordinate, "°"), (Trial.velocity, "°/s")
 
 
 def _joint_rows(trial: Trial, read, unit: str) -> list[tuple]:
@@ -240,7 +237,7 @@ def overview_figure(
         band: around the cuffs' forces, if there is one.
     """
     cuffs = _cuff_rows(found)
-    columns = [_angle_rows(measured), _velocity_rows(measured)]
+    columns = [_joint_rows(measured, *signal) for signal in _JOINTS]
     columns += [cuffs] if cuffs else []
     columns.append(_ground_rows(measured))
     count = max(map(len, columns))

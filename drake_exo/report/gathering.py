@@ -336,7 +336,7 @@ class Comparison:
         signals = rmsd_signals([row for rows in ours for row in rows])
         return {
             label: [
-                _number(mean_and_sd([lookup(row, path) for row in rows])[0])
+                _cell(mean_and_sd([lookup(row, path) for row in rows])[0])
                 for rows in ours
             ]
             for label, path in signals
@@ -487,11 +487,7 @@ def _plain(value) -> str:
 def _peak(signals: list[np.ndarray]) -> str:
     """Mean of the largest values."""
     peaks = [np.nanmax(np.abs(x)) for x in signals]
-    return _number(float(np.mean(peaks)) if peaks else None)
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
+    return _cell(float(np.mean(peaks)) if peaks else None)
 
 
 def format_table(
@@ -513,7 +509,7 @@ def format_table(
     return "\n".join([line(list(header)), rule, *map(line, cells)])
 
 
-def _cell(value, digits: int) -> str:
+def _cell(value, digits: int = 2) -> str:
     if isinstance(value, str):
         return value
     if value is None or not np.isfinite(value):

@@ -58,7 +58,14 @@ class DrawnModel:
         if contact is not None:
             under = contact.ground.under(model)
             self.soles = {body: own.spheres for body, own in under.items()}
-        self._paths = _paths(model)
+        plant = model.plant()
+        bodies = [plant.GetBodyByName(name) for name in model.tree.names]
+        # In meshcat's tree.
+        self._paths = {
+            body.name(): f"{plant.GetModelInstanceName(body.model_instance())}"
+            f"/{body.name()}"
+            for body in bodies
+        }
         self._hip = ("pelvis", 0.0)
         if model.tree.root != "pelvis":
             self._hip = ("thigh", model.human.thigh.length_m)
@@ -145,17 +152,6 @@ def _on_level(wrench: PlanarWrench, height: float) -> np.ndarray:
     z = np.full(len(F_z), height)
     x = np.where(loaded, (z * F_x - M_y) / np.where(loaded, F_z, 1.0), np.nan)
     return np.column_stack([x, 0.0 * z, z, F_x, 0.0 * z, F_z])
-
-
-def _paths(model: Model) -> dict[str, str]:
-    """Body -> its path in meshcat's tree."""
-    plant = model.plant()
-    bodies = [plant.GetBodyByName(name) for name in model.tree.names]
-    return {
-        body.name(): f"{plant.GetModelInstanceName(body.model_instance())}/"
-        f"{body.name()}"
-        for body in bodies
-    }
 
 
 SIMULATED, MEASURED = "/simulated", "/measured"
