@@ -74,45 +74,33 @@ def unloaded(time: np.ndarray, F_z: np.ndarray, largest_n: float):
 
 
 def level(
-    time: np.ndarray, wrench: PlanarWrench, largest_n: float
-) -> tuple[PlanarWrench, dict]:
+    time: np.ndarray, wrench: np.ndarray, vertical: int, largest_n: float
+) -> tuple[np.ndarray, dict]:
     """Take offset, and a linear drift where it shows, out of a plate.
 
     Args:
         time: (N,) [s].
-        wrench: unfiltered, as recorded.
+        wrench: (N, k), unfiltered, as recorded.
+        vertical: column of the vertical force [N].
         largest_n: as for `unloaded`.
 
     Returns:
         The levelled wrench, and what was found: offset_n of F_z at the
         start, drift_n_s, and unloaded_s, the time it was seen for.
     """
-    empty = unloaded(time, wrench.force[:, 1], largest_n)
-    seen = float(empty.sum() * (time[1] - time[0]))
+    empty = unloaded(time, wrench[:, vertical], largest_n)
     if not empty.any():
         return wrench, {"unloaded_s": 0.0}
-    offset = trend(time, wrench.array, empty)
-    return PlanarWrench.of(wrench.array - offset), {
-        "offset_n": float(offset[0, 1]),
-        "drift_n_s": float(
-            (offset[-1, 1] - offset[0, 1]) / (time[-1] - time[0])
-        ),
-        "unloaded_s": seen,
-    }
-
-
-def trend(time: np.ndarray, values: np.ndarray, empty: np.ndarray):
-    """What an empty plate shows (N, k): a level, a line where it shows.
-
-    Args:
-        time: (N,) [s].
-        values: (N, k) of a plate.
-        empty: (N,) bool, see `unloaded`; at least one.
-    """
     t = (time - time[0]) / (time[-1] - time[0])
     spans = t[empty].max() - t[empty].min()
     A = np.vander(t, 2 if spans > _TREND_SHARE else 1, increasing=True)
-    return A @ np.linalg.lstsq(A[empty], values[empty], rcond=None)[0]
+    offset = A @ np.linalg.lstsq(A[empty], wrench[empty], rcond=None)[0]
+    first, last = offset[[0, -1], vertical]
+    return wrench - offset, {
+        "offset_n": float(first),
+        "drift_n_s": float((last - first) / (time[-1] - time[0])),
+        "unloaded_s": float(empty.sum() * (time[1] - time[0])),
+    }
 
 
 @dataclass(frozen=True)
@@ -204,9 +192,9 @@ class FootForces:
             if name != "chair" and not feet:
                 return w
             largest = LARGEST_CHAIR_N if name == "chair" else LARGEST_FOOT_N
-            w, found = level(self.time, w, largest)
+            array, found = level(self.time, w.array, 1, largest)
             levels[name] = {**self.levels.get(name, {}), **found}
-            return w
+            return PlanarWrench.of(array)
 
         found = self._by_plate(flat)
         return replace(found, levels=self.levels | levels)

@@ -20,10 +20,9 @@ from drake_exo.measurement.filters import fill_gaps
 from drake_exo.measurement.recording import (
     LARGEST_FOOT_N,
     check_empty,
+    level,
     plates_under,
     read_markers,
-    trend,
-    unloaded,
 )
 from drake_exo.measurement.sagittal import (
     COP_THRESHOLD_N,
@@ -122,9 +121,7 @@ def recorded_step(
         check_empty(files.empty_plates, bare)
         each = [w - b.mean(axis=0) for w, b in zip(each, bare, strict=True)]
     if lab.remove_plate_drift:
-        for k, w in enumerate(each):
-            bare = unloaded(time, w[:, 2], LARGEST_FOOT_N)
-            each[k] = w - trend(time, w, bare) if bare.any() else w
+        each = [level(time, w, 2, LARGEST_FOOT_N)[0] for w in each]
     time = time - lab.force_delay_s
     found = contacts(time, sum(each)[:, 2], least_force_n)
     contact = _chosen(found, start, end, number, where)

@@ -104,26 +104,26 @@ def wrench(F_z, offset=(0.0, 0.0, 0.0), drift=(0.0, 0.0, 0.0)):
 def test_offset_and_drift_come_out():
     F_z = stance(1.0, 3.0)
     raw = wrench(F_z, (2.0, -9.0, 1.5), (0.5, 2.0, -0.3))
-    found, report = level(TIME, raw, 20.0)
+    found, report = level(TIME, raw.array, 1, 20.0)
     assert report["offset_n"] == pytest.approx(-9.0, abs=0.2)
     assert report["drift_n_s"] == pytest.approx(2.0, abs=0.005)
     assert 1.0 < report["unloaded_s"] < 2.0
     truth = wrench(F_z)
-    assert np.abs(found.force - truth.force).max() < 0.4
-    assert np.abs(found.moment - truth.moment).max() < 0.12
+    assert np.abs(found[:, :2] - truth.force).max() < 0.4
+    assert np.abs(found[:, 2] - truth.moment).max() < 0.12
 
 
 def test_a_plate_without_drift_is_left_as_it_is():
     raw = wrench(stance(-1.0, 1.5))
-    found, report = level(TIME, raw, 20.0)
+    found, report = level(TIME, raw.array, 1, 20.0)
     # Noise of 1 N over 2.3 s, extrapolated to the start: 0.07 N (one sigma).
     assert abs(report["offset_n"]) < 0.25 and abs(report["drift_n_s"]) < 0.1
-    np.testing.assert_allclose(found.force, raw.force, atol=0.3)
+    np.testing.assert_allclose(found[:, :2], raw.force, atol=0.3)
 
 
 def test_one_short_unloaded_end_gives_an_offset_alone():
     raw = wrench(stance(-1.0, 3.0), (0.0, 6.0, 0.0))
-    _, report = level(TIME, raw, 20.0)
+    _, report = level(TIME, raw.array, 1, 20.0)
     assert report["drift_n_s"] == 0.0
     assert report["offset_n"] == pytest.approx(6.0, abs=0.2)
 
@@ -132,15 +132,16 @@ def test_a_loaded_plate_is_never_taken_for_empty():
     """Feet of somebody seated are a load, not an offset."""
     raw = wrench(150.0 + stance(1.0, 5.0))
     assert not unloaded(TIME, raw.force[:, 1], 20.0).any()
-    found, report = level(TIME, raw, 20.0)
-    assert found is raw and report == {"unloaded_s": 0.0}
+    found, report = level(TIME, raw.array, 1, 20.0)
+    np.testing.assert_array_equal(found, raw.array)
+    assert report == {"unloaded_s": 0.0}
 
 
 def test_a_chair_is_tared():
     raw = wrench(60.0 + stance(-1.0, 2.0, 500.0))
-    found, report = level(TIME, raw, 200.0)
+    found, report = level(TIME, raw.array, 1, 200.0)
     assert report["offset_n"] == pytest.approx(60.0, abs=0.03)
-    assert found.force[3000:, 1].mean() == pytest.approx(0.0, abs=0.1)
+    assert found[3000:, 1].mean() == pytest.approx(0.0, abs=0.1)
 
 
 def test_moments_shorter_than_a_tenth_of_a_second_do_not_count():
@@ -205,7 +206,7 @@ def test_a_trend_needs_unloaded_parts_half_the_recording_apart():
         a, b = round((last - 0.1) * n), round((last + 0.06) * n)
         F_z[a:b] = 2.0 * TIME[a:b]
         raw = PlanarWrench(np.column_stack([0.0 * F_z, F_z]), 0.0 * F_z)
-        _, report = level(TIME, raw, 20.0)
+        _, report = level(TIME, raw.array, 1, 20.0)
         drift = report["drift_n_s"]
         assert drift == (pytest.approx(2.0) if powers == 2 else 0.0)
 
