@@ -339,7 +339,8 @@ def process(
     # Before the filter: a foot that stands has a steady centre of pressure.
     forces = forces.on_belt(settings.ground.belt_speed_m_s)
     forces = forces.held(laboratory.hold_cop_below_n).filtered(low_pass_filter)
-    feet, chair = forces.at(time), forces.chair_at(time)
+    feet = forces.at(time)
+    chair = feet.pop("chair", None)
     if chair is not None:
         chair = until_seat_off(time, chair, model.tree.weight)
     clocks = {"forces": force_clock}
@@ -462,7 +463,8 @@ def _force_delay(
     `pulled` (N,) is the vertical force of loads that have their clock.
     """
     time = motion.time
-    feet, chair = forces.at(time), forces.chair_at(time)
+    feet = forces.at(time)
+    chair = feet.pop("chair", None)
     needed, F_z = needed_force(rigid, motion), forces.total(feet)
     reach = laboratory.largest_delay_s
     if chair is not None:  # together they bear the body all the time

@@ -109,9 +109,9 @@ class FootForces:
 
     Attributes:
         time: (N,) evenly spaced [s].
-        wrenches: "left" and "right", or "both" for one plate under both feet.
+        wrenches: "left" and "right", or "both" for one plate under both feet;
+            "chair" of the plate under the chair, if there is one.
         source: file name.
-        chair: of the plate under the chair, if there is one.
         levels: plate ("left", ..., "chair") -> offset and drift taken out.
         recorded: plate -> (N, 6) force [N] and moment about the origin [N m],
             forward, left, up, neither levelled but by `without` nor filtered.
@@ -120,7 +120,6 @@ class FootForces:
     time: np.ndarray
     wrenches: dict[str, PlanarWrench]
     source: str
-    chair: PlanarWrench | None = None
     levels: dict[str, dict] = field(default_factory=dict)
     recorded: dict[str, np.ndarray] = field(default_factory=dict)
 
@@ -168,7 +167,7 @@ class FootForces:
         levels = {}
 
         def less(name, w):
-            zero = empty.chair if name == "chair" else empty.wrenches[name]
+            zero = empty.wrenches[name]
             force, moment = zero.force.mean(axis=0), zero.moment.mean()
             levels[name] = {"empty_plate_n": float(force[1])}
             return PlanarWrench(w.force - force, w.moment - moment)
@@ -202,24 +201,20 @@ class FootForces:
     def _by_plate(self, function) -> "FootForces":
         """Function of name and wrench, applied to every plate."""
         return replace(
-            self,
-            wrenches={n: function(n, w) for n, w in self.wrenches.items()},
-            chair=None if self.chair is None else function("chair", self.chair),
+            self, wrenches={n: function(n, w) for n, w in self.wrenches.items()}
         )
 
-    def chair_at(self, time: np.ndarray) -> PlanarWrench | None:
-        """As `at`, of the plate under the chair."""
-        if self.chair is None:
-            return None
-        alone = replace(self, wrenches={"chair": self.chair})
-        return alone.at(time)["chair"]
+    @property
+    def feet(self) -> dict[str, PlanarWrench]:
+        """Without the chair's."""
+        return {n: w for n, w in self.wrenches.items() if n != "chair"}
 
     def at(self, time: np.ndarray) -> dict[str, PlanarWrench]:
         """Wrenches at other times; the ends' values beyond the recording."""
         time = np.clip(time, self.time[0], self.time[-1])
         return {
-            foot: PlanarWrench.of(resample(self.time, w.array, time))
-            for foot, w in self.wrenches.items()
+            name: PlanarWrench.of(resample(self.time, w.array, time))
+            for name, w in self.wrenches.items()
         }
 
     def total(self, feet: dict[str, PlanarWrench]) -> np.ndarray:
@@ -230,7 +225,7 @@ class FootForces:
     @property
     def is_one_leg(self) -> bool:
         """Whether only one foot stood on a plate."""
-        return len(self.wrenches) == 1 and "both" not in self.wrenches
+        return len(self.feet) == 1 and "both" not in self.wrenches
 
 
 def _markers_of_c3d(path: Path) -> MarkerData:
@@ -318,8 +313,7 @@ def read_foot_forces(
         if used:
             plain[foot] = sign * sum(spatial_wrench(p, frame) for p in used)
     wrenches = {foot: PlanarWrench.of_spatial(w) for foot, w in plain.items()}
-    chair = wrenches.pop("chair", None)
-    forces = FootForces(time, wrenches, str(path), chair, recorded=plain)
+    forces = FootForces(time, wrenches, str(path), recorded=plain)
     check_filterable(
         forces.source, len(time), forces.rate_hz, settings.cutoff_hz
     )
@@ -352,7 +346,7 @@ def _plate(path, recorded: Mapping[int, PlateRecording], number: int):
 
 def _check_direction(forces: FootForces) -> None:
     """Forces must be those on the body: upwards when standing."""
-    F_z = forces.total(forces.wrenches)
+    F_z = forces.total(forces.feet)
     if -F_z.min() > max(F_z.max(), 50.0):
         raise InputError(
             f"{forces.source}: the vertical force reaches {F_z.min():.0f} N, "

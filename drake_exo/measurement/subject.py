@@ -296,7 +296,7 @@ def _standing_wrench(settings, root, ankles) -> PlanarWrench | None:
         )
     means = {
         foot: PlanarWrench.of(w.array[inside].mean(axis=0, keepdims=True))
-        for foot, w in forces.wrenches.items()
+        for foot, w in forces.feet.items()
     }
     return merge_plates(means, ankles)[0]
 

@@ -180,7 +180,7 @@ def test_plates_are_timed_while_they_bear_half_the_body(monkeypatch):
     )
     rigid = SimpleNamespace(tree=SimpleNamespace(weight=700.0))
     forces = SimpleNamespace(
-        total=lambda feet: F_z, at=lambda t: {}, chair_at=lambda t: None,
+        total=lambda feet: F_z, at=lambda t: {},
         delayed=lambda lag: forces, source="f.mot",
     )  # fmt: skip
     said = []
@@ -198,7 +198,7 @@ def test_plates_are_timed_while_they_bear_half_the_body(monkeypatch):
 def test_seat_off_is_found_on_the_clock_that_is_found(monkeypatch):
     """Forces 40 ms late begin elsewhere: again, until a millisecond is left."""
     forces = SimpleNamespace(
-        total=lambda feet: 0.0, at=lambda t: {}, chair_at=lambda t: None,
+        total=lambda feet: 0.0, at=lambda t: {},
         delayed=lambda lag: lag,
     )  # fmt: skip
     by_lag = {0.0: 0.056, 0.056: 0.05, 0.05: 0.048, 0.048: 0.049}
