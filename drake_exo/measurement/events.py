@@ -12,6 +12,7 @@ fallen to 5 % of body weight. What is left then is faded out within 50 ms, so
 that no step remains in the dynamics.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -213,18 +214,14 @@ class FootEvent:
         >>> FootEvent.of("toe_off left 2").number
         2
         """
-        kind, side, number, *more = [*text.split(), "", "", ""][:4]
-        if (
-            kind not in _EVENTS
-            or side not in SIDES
-            or not (number.isascii() and number.isdigit() and int(number))
-            or any(more)
-        ):
+        known = f"({'|'.join(_EVENTS)}) ({'|'.join(SIDES)}) (0*[1-9][0-9]*)"
+        match = re.fullmatch(known, " ".join(text.split()))
+        if not match:
             raise InputError(
                 f"{text!r} is no event; say {' or '.join(_EVENTS)}, left or "
                 "right, and which from 1, as in 'heel_strike right 1'"
             )
-        return FootEvent(kind, side, int(number))
+        return FootEvent(match[1], match[2], int(match[3]))
 
     def __str__(self) -> str:
         return f"{self.kind} {self.side} {self.number}"

@@ -544,7 +544,7 @@ class Load:
                 "a load's file of forces says where and when they act; leave "
                 "markers, at_m, from_s and to_s out"
             )
-        start = -np.inf if self.from_s is None else self.from_s
+        start, _ = self.carried_s
         if self.to_s is not None and self.to_s <= start:
             raise InputError(
                 f"to_s ({self.to_s:g}) must be after from_s ({start:g})"

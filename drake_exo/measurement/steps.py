@@ -233,13 +233,14 @@ def _names(settings: RecordingSettings, foot: Side) -> tuple[str, ...]:
             "markers.segments in the study, besides the OpenSim model"
         )
     segments = settings.markers.segments
-    names = (*segments.foot.of(foot), *segments.toes.of(foot))
-    if len(dict.fromkeys(names)) < 3:
+    on = (*segments.foot.of(foot), *segments.toes.of(foot))
+    names = tuple(dict.fromkeys(on))
+    if len(names) < 3:
         raise InputError(
             f"markers.segments.foot.{foot}: the foot's pose takes three "
             "markers on foot and toes; name them"
         )
-    return tuple(dict.fromkeys(names))
+    return names
 
 
 def _ends(points: np.ndarray, names: tuple[str, ...]) -> tuple[int, int]:
