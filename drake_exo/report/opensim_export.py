@@ -386,11 +386,10 @@ def exported_forces(file: xml.OsimFile, osim: OsimModel, q, v):
     n = len(next(iter(q.values())))
     poses = osim.poses(q, n)
     found = {side: np.zeros((n, 2)) for side in ENDS}
-    for force in file.model.iterfind("ForceSet/objects/*"):
+    kind = "SmoothSphereHalfSpaceForce"
+    for force in file.model.iterfind(f"ForceSet/objects/{kind}"):
         name = force.get("name")
-        if force.tag != "SmoothSphereHalfSpaceForce" or not name.startswith(
-            "contact_"
-        ):
+        if not name.startswith("contact_"):
             continue
         shape = file.model.find(
             f"ContactGeometrySet/objects/ContactSphere[@name='{name}_sphere']"
@@ -412,10 +411,8 @@ def exported_forces(file: xml.OsimFile, osim: OsimModel, q, v):
         )
         wrench = sphere_wrench(
             "simbody",
-            centre[:, 0],
-            centre[:, 1],
-            motion[:, 0],
-            motion[:, 1],
+            *centre[:, :2].T,
+            *motion[:, :2].T,
             turn[:, 2],
             float(force.findtext("stiffness")),
             float(force.findtext("dissipation")),
@@ -436,13 +433,11 @@ def turned_off(copies: Copies, q, trial: Trial) -> dict[str, float]:
             "pelvis",
             *(f"{p}{suffix}" for p in ("thigh", "shank", "foot")),
         )
-        lean = [0.0, 0.0, 0.0, 0.0]
         at = copies.person.places[side]
-        lean[1] = np.angle((at["hip"] - at["knee"]) / 1j)
-        lean[2] = np.angle((at["knee"] - at["ankle"]) / 1j)
+        along = 1j, at["hip"] - at["knee"], at["knee"] - at["ankle"], 1j
         angles = [
-            tree.body_angles(trial.q, part) - off
-            for part, off in zip(parts, lean, strict=True)
+            tree.body_angles(trial.q, part) - np.angle(upwards / 1j)
+            for part, upwards in zip(parts, along, strict=True)
         ]
         for i, joint in enumerate(("hip", "knee", "ankle")):
             name, rate = flexing(osim, osim.joint_of(JOINTS[joint] + end))
