@@ -771,33 +771,20 @@ def design_front_figure(rows: list[dict]) -> Figure:
 def _draw(axis, cuff: str, moved, built, shown: float) -> None:
     """One cuff in one trial, moved as today and on the design."""
     before, after = moved
-    for trial, color, label in (
-        (before.trial, _BEFORE, "today"),
-        (after.trial, _AFTER, "design"),
-    ):
-        if cuff in trial.cuffs:
-            force = shown * trial.cuffs[cuff].normal
-            axis.plot(trial.times, force, color=color, lw=1.4, label=label)
+
+    def line(trial: Trial | None, label: str, factor=1.0, **style) -> None:
+        if trial is not None and cuff in trial.cuffs:
+            force = factor * trial.cuffs[cuff].normal
+            axis.plot(trial.times, force, label=label, **style)
+
+    line(before.trial, "today", shown, color=_BEFORE, lw=1.4)
+    line(after.trial, "design", shown, color=_AFTER, lw=1.4)
     if after.bands is not None and cuff in after.trial.cuffs:
         _draw_band(axis, after.trial, after.bands, cuff, _AFTER, shown)
-    if cuff in before.measured.cuffs:
-        axis.plot(
-            before.measured.times,
-            before.measured.cuffs[cuff].normal,
-            color="0.15",
-            lw=1.0,
-            label="measured today",
-        )
-    trial = built.get(before.trial.name)
-    if trial is not None and cuff in trial.cuffs:
-        axis.plot(
-            trial.times,
-            trial.cuffs[cuff].normal,
-            color="0.15",
-            lw=1.0,
-            ls="--",
-            label="measured as built",
-        )
+    mats = {"color": "0.15", "lw": 1.0}
+    line(before.measured, "measured today", **mats)
+    as_built = built.get(before.trial.name)
+    line(as_built, "measured as built", **mats, ls="--")
 
 
 DESIGN_FIGURES = {"forces.png": forces_figure, "device.png": device_figure}

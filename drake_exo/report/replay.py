@@ -437,22 +437,19 @@ def _arrows(model: Model, other: str) -> list[Arrow]:
         loads[cuff] = (f"cuff at the {cuff}", colour, _CUFF_SCALE, cuff)
     for name, (text, colour, scale, label) in loads.items():
         radius = 0.011 if scale == _GROUND_SCALE else 0.008
-        drawn.append(
-            Arrow(name, text, colour, scale, label=label, radius_m=radius)
-        )
-        drawn.append(
+        part = measured and name not in _WRENCHES
+        drawn += [
+            Arrow(name, text, colour, scale, label=label, radius_m=radius),
             Arrow(
                 f"{name}_measured",
-                f"{other}, normal part"
-                if measured and name not in _WRENCHES
-                else other,
+                f"{other}, normal part" if part else other,
                 colour,
                 scale,
                 root=f"{MEASURED}/arrows",
                 opacity=0.55,
                 radius_m=1.4 * radius,
-            )
-        )
+            ),
+        ]
     return drawn
 
 
