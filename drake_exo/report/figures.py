@@ -835,7 +835,7 @@ def measures(curves: ContactCurves) -> dict:
     x = np.linspace(-0.05, 0.0, 1001)
     given = curves.parameters("paper")
     away = sphere_force_derivatives("paper", x, 0.0, 0.0, *given)
-    dry = replace(curves.constants("paper"), viscous_friction=0.0)
+    dry = replace(curves, viscous_friction=0.0).constants("paper")
     ratio = np.linspace(0.0, 4.0, 4001)
     mu = friction_coefficient("paper", ratio * dry.transition_velocity, dry)
     return {
@@ -929,30 +929,23 @@ def draw_friction(curves: ContactCurves):
     axes = figure.subplots()
     ratio = np.linspace(0.0, 5.0, 1001)
     speed = ratio * curves.transition_velocity
-    paper = curves.constants("paper")
-    dry = replace(paper, viscous_friction=0.0)
-    axes.plot(
-        ratio,
-        friction_coefficient("paper", speed, dry),
-        color=_MODEL,
-        label="paper, $\\mu_2$",
+    dry = replace(curves, viscous_friction=0.0)
+    whole = (
+        r"paper, $\mu_1 + \mu_2$ ($u_v$ = "
+        f"{curves.viscous_friction:g} s/m)"
     )
-    axes.plot(
-        ratio,
-        friction_coefficient("paper", speed, paper),
-        color=_MODEL,
-        linestyle=(0, (4, 1.5)),
-        label=r"paper, $\mu_1 + \mu_2$ ($u_v$ = "
-        f"{curves.viscous_friction:g} s/m)",
-    )
-    simbody = replace(curves.constants("simbody"), viscous_friction=0.0)
-    axes.plot(
-        ratio,
-        friction_coefficient("simbody", speed, simbody),
-        color=_SECOND,
-        linewidth=1.2,
-        label="simbody, without viscous part",
-    )
+    for law, own, label, style in (
+        ("paper", dry, r"paper, $\mu_2$", {"color": _MODEL}),
+        ("paper", curves, whole, {"color": _MODEL, "ls": (0, (4, 1.5))}),
+        (
+            "simbody",
+            dry,
+            "simbody, without viscous part",
+            {"color": _SECOND, "lw": 1.2},
+        ),
+    ):
+        mu = friction_coefficient(law, speed, own.constants(law))
+        axes.plot(ratio, mu, label=label, **style)
     for level, text, start in (
         (curves.static_friction, "$u_s$", 1.0),
         (curves.dynamic_friction, "$u_d$", 3.0),
@@ -976,12 +969,8 @@ def draw_friction(curves: ContactCurves):
 
 def _mark_level(axes, level: float, text: str, start: float):
     """A friction coefficient on the axis, and where it is reached."""
-    axes.plot(
-        [0.0, start], [level, level], color="0.4", linewidth=0.7, zorder=1
-    )
-    axes.plot(
-        [start, start], [0.0, level], color="0.4", linewidth=0.7, zorder=1
-    )
+    for x, y in (([0.0, start], [level] * 2), ([start] * 2, [0.0, level])):
+        axes.plot(x, y, color="0.4", linewidth=0.7, zorder=1)
     axes.annotate(
         text,
         (0.0, level),
