@@ -160,8 +160,10 @@ def _check_gmsh(data: bytes) -> None:
     meshio takes a row's last numbers for nodes, were they tags.
     """
     text = data.partition(b"$Elements")[2].partition(b"$EndElements")[0]
-    _, *rows = [row.split() for row in text.splitlines() if row.strip()]
-    counts = {(kind, len(more) - int(tags)) for _, kind, tags, *more in rows}
+    rows = [row.split() for row in text.splitlines() if row.strip()]
+    counts = {
+        (kind, len(more) - int(tags)) for _, kind, tags, *more in rows[1:]
+    }
     if len(counts) > len(dict(counts)):
         raise ValueError("an element has fewer nodes than others, or more")
 

@@ -624,8 +624,7 @@ def body_checks(e: Evidence) -> Iterator[Check]:
     if e.subject.model.assembly.human.sides:
         yield _belt(e)
         yield _end_joints(e)
-    # A step ends in the middle of a movement, and its legs do not move alike.
-    if not e.subject.model.assembly.human.sides:
+    else:  # a step ends within a movement, and its legs do not move alike
         yield _end(e)
         if e.has_both_feet:
             yield from _legs(e)
