@@ -30,7 +30,7 @@ from drake_exo.files.output import Progress
 from drake_exo.files.tables import MarkerData
 from drake_exo.measurement.filters import derivatives, fill_gaps, minimum_jerk
 from drake_exo.measurement.recording import read_foot_forces
-from drake_exo.measurement.sagittal import PlanarWrench, SagittalFrame
+from drake_exo.measurement.sagittal import Axes, PlanarWrench
 from drake_exo.measurement.settings import (
     Load,
     Markers,
@@ -148,7 +148,7 @@ class MarkerModel:
 def build_marker_model(
     standing: MarkerData,
     markers: Markers,
-    frame: SagittalFrame,
+    axes: Axes,
     ball_m: tuple[float, float] | None = None,
     welded: Collection[str] = (),
 ) -> MarkerModel:
@@ -157,7 +157,7 @@ def build_marker_model(
     Args:
         standing: quiet part of the trial; its mean posture is used.
         markers: which markers are on which segment.
-        frame: directions of the planar frame in the trial's axes.
+        axes: which of the trial's point forward and up.
         ball_m: place (x, z) of the toes' hinge before the ankle of a flat
             foot; None where toes are rigid.
         welded: feet that a device is welded to, whose markers are rigid.
@@ -171,7 +171,7 @@ def build_marker_model(
     centres = {
         side: {
             joint: _mean_point(
-                standing, getattr(markers.joint_centres, joint).of(side), frame
+                standing, getattr(markers.joint_centres, joint).of(side), axes
             )
             for joint in LEG_JOINTS
         }
@@ -201,7 +201,7 @@ def build_marker_model(
     for k, (own, origin, base) in enumerate(parts):
         for name in own:
             lever = base.copy()
-            lever[k] += (_mean_point(standing, (name,), frame) - origin) / w[k]
+            lever[k] += (_mean_point(standing, (name,), axes) - origin) / w[k]
             names.append(name)
             segment_of.append(k)
             levers.append(lever)
@@ -266,8 +266,8 @@ def _complete_sides(markers: Markers, source: str, leg) -> tuple[str, ...]:
     return sides
 
 
-def _mean_point(data: MarkerData, names, frame: SagittalFrame) -> complex:
-    x, z = frame.points(data.of(names)).mean(axis=(0, 1))
+def _mean_point(data: MarkerData, names, axes: Axes) -> complex:
+    x, z = axes.points(data.of(names)).mean(axis=(0, 1))
     return complex(x, z)
 
 
@@ -712,8 +712,8 @@ def _place(load, settings, tree, time, q, recorded) -> np.ndarray:
     filled, _ = fill_gaps(
         recorded, load.markers, settings.laboratory.fill_gaps_s
     )
-    frame = settings.laboratory.marker_axes.frame
-    middle = frame.points(filled.of(load.markers)).mean(axis=1)
+    axes = settings.laboratory.marker_axes
+    middle = axes.points(filled.of(load.markers)).mean(axis=1)
     smooth = settings.filter.smooth(middle, recorded.rate_hz, recorded.source)
     first = np.searchsorted(recorded.time, time[0] - 1e-9)
     return smooth[first : first + len(time)]

@@ -31,8 +31,8 @@ from drake_exo.files.tables import (
     read_text,
     uniform_time,
 )
+from drake_exo.measurement.sagittal import Axes
 from drake_exo.measurement.settings import (
-    Axes,
     Filter,
     Mat,
     PressureFile,
@@ -124,7 +124,7 @@ def _surface(path: Path, unit: str, axes: Axes) -> Surface:
             f"{path}: the scan spans {extent:.4g} {unit} in the study's unit, "
             f"which no body does; {hint if fitting else 'check the file'}"
         )
-    points = LENGTHS[unit] * raw @ axes.frame.R_PL.T
+    points = LENGTHS[unit] * raw @ axes.R_PL.T
     return _outwards(Surface(points, triangles, str(path)))
 
 
@@ -168,7 +168,7 @@ def place_cells(
     if scan.cells is not None:
         what, source = "cell", root / scan.cells
         given = _read_cells(source, rows, columns)
-    points = LENGTHS[scan.unit] * np.array(given) @ scan.axes.frame.R_PL.T
+    points = LENGTHS[scan.unit] * np.array(given) @ scan.axes.R_PL.T
     on = surface.closest(points)[0]
     off = np.linalg.norm(on - points, axis=1)
     if off.max() > _FARTHEST_M:
@@ -407,7 +407,7 @@ def _to_segment(scan: Scan) -> np.ndarray:
     """Rotation (3, 3) from forward, left, up to the segment's axes."""
     if scan.segment_axis is None:
         return np.eye(3)
-    low, high = LENGTHS[scan.unit] * scan.axes.frame.points(scan.segment_axis)
+    low, high = LENGTHS[scan.unit] * scan.axes.points(scan.segment_axis)
     x, z = high - low
     length = np.hypot(x, z)
     if not _AXIS[0] < length < _AXIS[1]:

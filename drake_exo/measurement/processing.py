@@ -386,7 +386,7 @@ def _absent(model: MarkerModel, recorded: MarkerData) -> tuple[str, ...]:
 def _on_belt(markers: MarkerData, settings: RecordingSettings) -> MarkerData:
     """Markers in axes that move with a treadmill's belt."""
     ahead = settings.ground.belt_speed_m_s * markers.time
-    forward = settings.laboratory.marker_axes.frame.R_PL[0]
+    forward = settings.laboratory.marker_axes.R_PL[0]
     moved = markers.positions + ahead[:, None, None] * forward
     # Zeros of hidden markers stay, to be refused.
     moved[(markers.positions == 0.0).all(axis=2)] = 0.0
@@ -401,11 +401,11 @@ def _follow(
     settings: RecordingSettings,
 ) -> Motion:
     """Inverse kinematics of the frames at `time`, filtered."""
-    frame = settings.laboratory.marker_axes.frame
+    axes = settings.laboratory.marker_axes
     model = subject.markers
     first = np.searchsorted(markers.time, time[0] - 1e-9)
     inside = slice(first, first + len(time))
-    points = frame.points(markers.of(model.names))[inside]
+    points = axes.points(markers.of(model.names))[inside]
     hidden = gaps.hidden(model.names)[inside]
     progress = Progress(f"inverse kinematics of {Path(markers.source).name}")
     poses = solve_poses(model, points, markers.source, progress, hidden)
@@ -429,7 +429,7 @@ def _follow(
         model.determined(hidden),
         {side: smooth(x) for side, x in leg_angles(model, poses).items()},
         {
-            side: frame.space(markers.of(model.on("foot", side)))[inside]
+            side: axes.space(markers.of(model.on("foot", side)))[inside]
             for side in model.sides
         },
     )

@@ -305,13 +305,13 @@ def read_foot_forces(
     """
     time, recorded = _reader(path, _FORCE_READERS, "force")(path)
     time = uniform_time(str(path), time)
-    frame = laboratory.force_axes.frame
+    axes = laboratory.force_axes
     sign = -1.0 if laboratory.forces_act_on == "plate" else 1.0
     plain = {}
     for foot in (*SIDES, "both", "chair"):
         used = [_plate(path, recorded, n) for n in plates.of(foot)]
         if used:
-            plain[foot] = sign * sum(spatial_wrench(p, frame) for p in used)
+            plain[foot] = sign * sum(spatial_wrench(p, axes) for p in used)
     wrenches = {foot: PlanarWrench.of_spatial(w) for foot, w in plain.items()}
     forces = FootForces(time, wrenches, str(path), recorded=plain)
     check_filterable(

@@ -6,31 +6,51 @@ centre of pressure is CoP_x = -M_y / F_z.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
+from drake_exo.errors import InputError
 from drake_exo.files.tables import PlateRecording
 
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 # Below this vertical force a centre of pressure means nothing [N].
 COP_THRESHOLD_N = 20.0
 
 
 @dataclass(frozen=True)
-class SagittalFrame:
-    """Directions of the planar frame in a file's axes.
+class Axes:
+    """Which axes of a file point forward and up; OpenSim's are x and y.
 
-    Args:
-        forward, up: axis of the file such as "x", "-z".
+    Attributes:
+        forward, up: an axis, with a minus where it points the other way.
     """
 
-    forward: str = "x"
-    up: str = "y"
-    R_PL: np.ndarray = field(init=False, repr=False)
+    forward: Axis = "x"
+    up: Axis = "y"
 
     def __post_init__(self):
+        if self.forward[-1] == self.up[-1]:
+            raise InputError(
+                f"forward ({self.forward}) and up ({self.up}) must be two "
+                "different axes"
+            )
+
+    @staticmethod
+    def of(R_PL: np.ndarray) -> "Axes":
+        """Axes of this rotation, of right angles alone."""
+        forward, _, up = (
+            ("-" if row.sum() < 0.0 else "") + "xyz"[np.argmax(np.abs(row))]
+            for row in R_PL
+        )
+        return Axes(forward, up)
+
+    @property
+    def R_PL(self) -> np.ndarray:
+        """Rotation (3, 3) from them to forward, left, up."""
         x, z = _unit(self.forward), _unit(self.up)
-        object.__setattr__(self, "R_PL", np.stack([x, np.cross(z, x), z]))
+        return np.stack([x, np.cross(z, x), z])
 
     def points(self, p: np.ndarray) -> np.ndarray:
         """Points or forces (..., 3) -> their (..., 2) x and z."""
@@ -200,7 +220,7 @@ def external_loads(
     return names, np.column_stack(values)
 
 
-def spatial_wrench(plate: PlateRecording, frame: SagittalFrame) -> np.ndarray:
+def spatial_wrench(plate: PlateRecording, axes: Axes) -> np.ndarray:
     """A plate's force on the body and its moment about the origin.
 
     The free moment and the height of the plate's surface are in it.
@@ -209,7 +229,7 @@ def spatial_wrench(plate: PlateRecording, frame: SagittalFrame) -> np.ndarray:
         (N, 6) force [N] and moment [N m], each forward, left, up.
     """
     return np.hstack(
-        [frame.space(plate.force), frame.space(plate.moment_about_origin())]
+        [axes.space(plate.force), axes.space(plate.moment_about_origin())]
     )
 
 

@@ -17,7 +17,7 @@ from drake_exo.errors import InputError, check_file_name, nearest
 from drake_exo.files.schema import quantity
 from drake_exo.measurement.events import FootEvent
 from drake_exo.measurement.filters import low_pass
-from drake_exo.measurement.sagittal import SagittalFrame
+from drake_exo.measurement.sagittal import Axes
 from drake_exo.model.assembly import ASSEMBLIES, SIDES, Assembly
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.segments import (
@@ -32,43 +32,9 @@ from drake_exo.model.segments import (
 Side = Literal["left", "right"]
 Use = Literal["calibration", "prediction"]
 Legs = Literal["left", "right", "both"]
-Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 Point = tuple[float, float, float]
 # Files of `check` and of a batch, beside those that are called as trials.
 _TAKEN = ("quality", "summary", "task", "timing")
-
-
-@dataclass(frozen=True)
-class Axes:
-    """Which axes of a file point forward and up; OpenSim's are x and y.
-
-    Attributes:
-        forward, up: an axis, with a minus where it points the other way.
-    """
-
-    forward: Axis = "x"
-    up: Axis = "y"
-
-    def __post_init__(self):
-        if self.forward[-1] == self.up[-1]:
-            raise InputError(
-                f"forward ({self.forward}) and up ({self.up}) must be two "
-                "different axes"
-            )
-
-    @property
-    def frame(self) -> SagittalFrame:
-        """The planar frame in the file's axes."""
-        return SagittalFrame(self.forward, self.up)
-
-    @staticmethod
-    def of(R_PL: np.ndarray) -> "Axes":
-        """Axes whose frame is this rotation, of right angles alone."""
-        forward, _, up = (
-            ("-" if row.sum() < 0.0 else "") + "xyz"[np.argmax(np.abs(row))]
-            for row in R_PL
-        )
-        return Axes(forward, up)
 
 
 @dataclass(frozen=True)
@@ -167,7 +133,7 @@ class Scan:
 
     file: Path
     unit: Literal["m", "cm", "mm"]
-    axes: Axes = Axes("x", "z")
+    axes: Axes = field(default=Axes("x", "z"))
     corners: tuple[Point, Point, Point, Point] | None = None
     cells: Path | None = None
     segment_axis: tuple[Point, Point] | None = None

@@ -26,7 +26,7 @@ from drake_exo.measurement.recording import (
 )
 from drake_exo.measurement.sagittal import (
     COP_THRESHOLD_N,
-    SagittalFrame,
+    Axes,
     spatial_wrench,
 )
 from drake_exo.measurement.settings import (
@@ -110,14 +110,14 @@ def recorded_step(
             f"trial {trial}: no plate is the {foot} foot's alone; name it in "
             f"plates.{foot}"
         )
-    frame = lab.force_axes.frame
+    axes = lab.force_axes
     sign = -1.0 if lab.forces_act_on == "plate" else 1.0
-    each = [sign * spatial_wrench(plate, frame) for plate in plates]
+    each = [sign * spatial_wrench(plate, axes) for plate in plates]
     if files.empty_plates is not None:
         _, empty = plates_under(
             root / files.empty_plates, files.plates.of(foot)
         )
-        bare = [sign * spatial_wrench(plate, frame) for plate in empty]
+        bare = [sign * spatial_wrench(plate, axes) for plate in empty]
         check_empty(files.empty_plates, bare)
         each = [w - b.mean(axis=0) for w, b in zip(each, bare, strict=True)]
     if lab.remove_plate_drift:
@@ -127,7 +127,7 @@ def recorded_step(
     contact = _chosen(found, start, end, number, where)
     first, last = _part(contact, start, end)
     used = _one_plate(time, each, (first, last), files.plates.of(foot), where)
-    height = _surface(plates[used], each[used], frame)
+    height = _surface(plates[used], each[used], axes)
     markers = _foot_markers(settings, root, files, foot, contact)
     inside = between(markers.time, first, last)
     wrench = _at_frames(time, each[used], markers)
@@ -198,10 +198,10 @@ def _one_plate(time, each, part, numbers, where) -> int:
     return used[0] if used else 0
 
 
-def _surface(plate: PlateRecording, wrench, frame: SagittalFrame) -> float:
+def _surface(plate: PlateRecording, wrench, axes: Axes) -> float:
     """Height of the plate's surface, where its forces act [m]."""
     loaded = wrench[:, 2] >= COP_THRESHOLD_N
-    return float(np.median(frame.space(plate.point)[loaded, 2]))
+    return float(np.median(axes.space(plate.point)[loaded, 2]))
 
 
 def _foot_markers(
@@ -221,7 +221,7 @@ def _foot_markers(
     )
     reach = settings.filter.reach_s
     gaps.check(contact.start_s - reach, contact.end_s + reach)
-    points = lab.marker_axes.frame.space(data.of(names))
+    points = lab.marker_axes.space(data.of(names))
     smooth = settings.filter.smooth(points, data.rate_hz, data.source)
     return MarkerData(data.time, names, smooth, data.rate_hz, data.source)
 

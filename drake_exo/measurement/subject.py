@@ -25,12 +25,11 @@ from drake_exo.measurement.recording import (
     read_markers,
 )
 from drake_exo.measurement.sagittal import (
+    Axes,
     PlanarWrench,
-    SagittalFrame,
     merge_plates,
 )
 from drake_exo.measurement.settings import (
-    Axes,
     JointCentres,
     Markers,
     RecordingSettings,
@@ -87,7 +86,7 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     """
     if isinstance(settings.model, Assembly):
         settings = replace(settings, model=with_text(settings.model, root))
-    frame = _standing_frame(settings)
+    axes = _standing_axes(settings)
     person, who = None, settings.assembly.human
     if who.osim is not None:
         height, sex = settings.subject.height_m, settings.subject.sex
@@ -108,9 +107,9 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     welds = device.welds.values() if device else ()
     feet = [weld.to for weld in welds if weld.to.startswith("foot")]
     ball = _ball(settings, named, standing, person)
-    places = (standing, named, frame)
+    places = (standing, named, axes)
     if upright is not None:
-        places = (upright, named, SagittalFrame())
+        places = (upright, named, Axes())
     markers = build_marker_model(*places, ball, feet)
     if who.sides and markers.sides != SIDES:
         raise InputError(
@@ -118,7 +117,7 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
             f"{markers.sides[0]} one has all its markers; complete "
             "markers.joint_centres and markers.segments of the other"
         )
-    points = frame.points(standing.of(markers.names)).mean(axis=0)[None]
+    points = axes.points(standing.of(markers.names)).mean(axis=0)[None]
     poses = solve_poses(markers, points, standing.source)
     ankles = ankle_paths(markers, poses)
     if upright is not None:
@@ -220,10 +219,10 @@ def model_markers(
     return Markers(JointCentres(**joints), SegmentMarkers(**sided)), upright
 
 
-def _standing_frame(settings: RecordingSettings) -> SagittalFrame:
-    """Directions of the planar frame in the axes of the standing markers."""
+def _standing_axes(settings: RecordingSettings) -> Axes:
+    """Which of the standing markers' axes point forward and up."""
     usual = settings.laboratory.marker_axes
-    return (settings.standing.marker_axes or usual).frame
+    return settings.standing.marker_axes or usual
 
 
 def _ball(
@@ -237,12 +236,12 @@ def _ball(
         return None
     if person is not None:
         return person.human.ball_m
-    subject, frame = settings.subject, _standing_frame(settings)
+    subject, axes = settings.subject, _standing_axes(settings)
     human = scale_human(NOMINAL_MASS_KG, subject.height_m, subject.sex)
     human = with_overrides(human, subject.segments, "subject.segments")
     centres = markers.joint_centres.ankle
     names = (*centres.left, *centres.right)
-    ankle = frame.points(standing.of(names))[..., 1].mean()
+    ankle = axes.points(standing.of(names))[..., 1].mean()
     return ball_m(human)[0], CONTACT_RADIUS_M - float(ankle)
 
 
@@ -282,10 +281,8 @@ def _standing_wrench(settings, root, ankles) -> PlanarWrench | None:
     laboratory = settings.laboratory
     if standing.marker_axes is not None:
         # Who faces another way does so on the plates, too.
-        turn = standing.marker_axes.frame.R_PL @ (
-            laboratory.marker_axes.frame.R_PL.T
-        )
-        axes = Axes.of(turn @ laboratory.force_axes.frame.R_PL)
+        turn = standing.marker_axes.R_PL @ laboratory.marker_axes.R_PL.T
+        axes = Axes.of(turn @ laboratory.force_axes.R_PL)
         laboratory = replace(laboratory, force_axes=axes)
     forces = read_feet(standing, laboratory, settings.filter, root)
     inside = _inside(forces.time, standing)

@@ -27,8 +27,8 @@ from drake_exo.measurement.kinematics import (
     wrench_on_body,
 )
 from drake_exo.measurement.sagittal import (
+    Axes,
     PlanarWrench,
-    SagittalFrame,
     spatial_wrench,
 )
 
@@ -246,7 +246,7 @@ def moments(walk):
     Q, V, A, J = with_sliding_knees(osim, q, v, a)
     loads = {}
     for body, plate in zip(("calcn_r", "calcn_l"), plates, strict=True):
-        wrench = planar(plate, SagittalFrame())
+        wrench = planar(plate, Axes())
         loads[body] = PlanarWrench(
             resample(t_plates, wrench.force, looked_up),
             resample(t_plates, wrench.moment, looked_up),

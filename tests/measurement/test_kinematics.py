@@ -21,12 +21,12 @@ from drake_exo.measurement.kinematics import (
     solve_poses,
 )
 from drake_exo.measurement.processing import process
-from drake_exo.measurement.sagittal import SagittalFrame
+from drake_exo.measurement.sagittal import Axes
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import scale_human
 from drake_exo.study import StudyFile, read_study
 
-FRAME = SagittalFrame()
+FRAME = Axes()
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_any_axes_of_the_laboratory(
     def turned(data):
         return replace(data, positions=data.positions[..., order] * signs)
 
-    frame = SagittalFrame(forward, up)
+    frame = Axes(forward, up)
     model = build_marker_model(turned(standing(tree, human)), markers, frame)
     time = np.array([0.0, 2.0])
     q = motion(time, human)
@@ -179,7 +179,7 @@ def refusal(tree, human, markers, frame=FRAME):
 
 
 def test_axes_that_are_not_the_files_are_named(tree, human, markers):
-    lies = SagittalFrame("x", "z")
+    lies = Axes("x", "z")
     assert "marker_axes say is up" in refusal(tree, human, markers, lies)
 
 

@@ -14,7 +14,7 @@ from drake_exo.files.osim import read_osim
 from drake_exo.files.tables import MarkerData
 from drake_exo.measurement.kinematics import coordinates, solve_poses
 from drake_exo.measurement.quality import assess, text_of
-from drake_exo.measurement.sagittal import SagittalFrame
+from drake_exo.measurement.sagittal import Axes
 from drake_exo.measurement.subject import fit_subject
 from drake_exo.study import RecordedStudy, StudyFile, read_study
 
@@ -75,7 +75,7 @@ def test_angles_are_the_models_own(folder):
         for name in joint.coordinates
     }
     seen = recorded(osim, q, 7)
-    points = SagittalFrame().points(seen.of(subject.markers.names))
+    points = Axes().points(seen.of(subject.markers.names))
     poses = solve_poses(subject.markers, points)
     assert np.abs(poses.residuals).max() < 1e-9
     found = coordinates(subject.model, subject.markers, poses)

@@ -3,8 +3,8 @@ import pytest
 
 from drake_exo.files.tables import PlateRecording
 from drake_exo.measurement.sagittal import (
+    Axes,
     PlanarWrench,
-    SagittalFrame,
     external_loads,
     merge_plates,
     spatial_wrench,
@@ -26,32 +26,28 @@ def planar(plate, frame):
     [("x", "y", (0, 0, -1)), ("-z", "y", (-1, 0, 0)), ("y", "z", (-1, 0, 0))],
 )
 def test_left_is_up_cross_forward(forward, up, left):
-    frame = SagittalFrame(forward, up)
+    frame = Axes(forward, up)
     np.testing.assert_allclose(frame.space(left), [0.0, 1.0, 0.0])
     np.testing.assert_allclose(np.linalg.det(frame.R_PL), 1.0)
 
 
 def test_opensim_points():
-    frame = SagittalFrame()
+    frame = Axes()
     np.testing.assert_allclose(frame.points([[1.0, 2.0, 3.0]]), [[1.0, 2.0]])
     np.testing.assert_allclose(
-        SagittalFrame("-z", "y").points([1.0, 2.0, 3.0]), [-3.0, 2.0]
+        Axes("-z", "y").points([1.0, 2.0, 3.0]), [-3.0, 2.0]
     )
 
 
 def test_moment_is_z_fx_minus_x_fz():
-    wrench = planar(
-        plate((30.0, 600.0, 7.0), (0.2, 0.006, -0.5)), SagittalFrame()
-    )
+    wrench = planar(plate((30.0, 600.0, 7.0), (0.2, 0.006, -0.5)), Axes())
     np.testing.assert_allclose(wrench.force, [[30.0, 600.0]])
     np.testing.assert_allclose(wrench.moment, 0.006 * 30.0 - 0.2 * 600.0)
 
 
 def test_surface_height_moves_the_cop():
     # On a plate 6 mm above the floor the line of action meets z = 0 elsewhere.
-    wrench = planar(
-        plate((60.0, 600.0, 0.0), (0.2, 0.006, 0.0)), SagittalFrame()
-    )
+    wrench = planar(plate((60.0, 600.0, 0.0), (0.2, 0.006, 0.0)), Axes())
     np.testing.assert_allclose(wrench.cop_x, 0.2 - 0.006 * 60.0 / 600.0)
 
 
@@ -59,7 +55,7 @@ def test_free_moment_about_the_lateral_axis_counts():
     # OpenSim's z points right, our y left: +5 about z is -5 about y.
     wrench = planar(
         plate((0.0, 500.0, 0.0), (0.1, 0.0, 0.0), (9.0, 9.0, 5.0)),
-        SagittalFrame(),
+        Axes(),
     )
     np.testing.assert_allclose(wrench.moment, -0.1 * 500.0 - 5.0)
     np.testing.assert_allclose(wrench.cop_x, 0.11)
@@ -116,7 +112,7 @@ def test_walking_force_pushes_back_then_forward(data_root):
 
     path = data_root / "opencap_subject4/ID/walking1_grf.mot"
     time, plates = read_plates(path)
-    left = planar(plates[2], SagittalFrame())
+    left = planar(plates[2], Axes())
     stance = (time > 0.56) & (time < 1.18)
     cop = left.cop_x[stance]
     direction = np.sign(cop[-1] - cop[0])

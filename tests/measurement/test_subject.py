@@ -8,7 +8,7 @@ import pytest
 
 from drake_exo.errors import InputError
 from drake_exo.measurement import processing, subject
-from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.sagittal import Axes, PlanarWrench
 from drake_exo.model.assembly import Assembly, Person
 from drake_exo.model.description import nominal_exoskeleton, nominal_human
 from drake_exo.model.plant import Model
@@ -153,11 +153,7 @@ def test_the_ball_of_a_measured_foot_is_a_spheres_radius_above_the_floor():
     settings = SimpleNamespace(
         assembly=Assembly(Person("two", "hinged")),
         subject=SimpleNamespace(height_m=1.75, sex="male", segments=None),
-        laboratory=SimpleNamespace(
-            marker_axes=SimpleNamespace(
-                frame=SimpleNamespace(points=lambda p: p[..., [0, 2]])
-            )
-        ),
+        laboratory=SimpleNamespace(marker_axes=Axes("x", "z")),
         standing=SimpleNamespace(marker_axes=None),
     )
     p = np.zeros((3, 2, 3))
