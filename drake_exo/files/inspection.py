@@ -15,6 +15,7 @@ from drake_exo.files.osim import read_osim
 from drake_exo.files.pressure import (
     PressureRecording,
     read_novel_asc,
+    read_places,
     read_pressure_csv,
 )
 from drake_exo.files.tables import (
@@ -118,23 +119,17 @@ def _of_csv(path: Path) -> list[Section]:
         return [_markers(read_markers_csv(path))]
     cells = first.split(",")
     if [cell.strip() for cell in cells[:2]] == ["row", "column"]:
-        return [_places(path, lines)]
+        return [_places(path)]
     if ";" in cells[0] and len(cells) > 1:
         whole = {"cells": (1, len(cells) - 1)}
         return [_pressure(read_pressure_csv(path, whole))]
     return [_channels(read_csv_table(path), "in SI units, angles in radians")]
 
 
-def _places(path: Path, lines: list[str]) -> Section:
+def _places(path: Path) -> Section:
     """Where a mat's cells lie."""
-    try:
-        rows = [line.split(",") for line in lines[1:] if line.strip()]
-        table = np.array(rows, float).reshape(-1, 5)
-        low, high = table[:, 2:].min(axis=0), table[:, 2:].max(axis=0)
-    except ValueError as error:
-        raise InputError(
-            f"{path}: holds no row, column, x, y and z of cells; export again"
-        ) from error
+    table = read_places(path)
+    low, high = table[:, 2:].min(axis=0), table[:, 2:].max(axis=0)
     count, across = (len(set(table[:, k])) for k in (0, 1))
     spans = [
         f"{axis}: {a:.4g} to {b:.4g}"

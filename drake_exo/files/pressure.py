@@ -133,6 +133,36 @@ def read_pressure_csv(
     return _recording(path, values, scale, groups)
 
 
+_PLACE = ["row", "column", "x", "y", "z"]
+
+
+def read_places(path: str | Path) -> np.ndarray:
+    """Read a CSV table of where a mat's cells lie.
+
+    Returns:
+        Row, column, x, y and z of each (n, 5), in the unit of the file.
+
+    Raises:
+        InputError: unreadable, columns in another order, damaged rows, or a
+            place that is missing or out of all bounds.
+    """
+    head, *rows = read_text(path).splitlines() or [""]
+    named = [name.strip().lower() for name in head.split(",")]
+    if named != _PLACE and sorted(named) == sorted(_PLACE):
+        raise InputError(
+            f"{path}:1: columns are {', '.join(named)}; write them in the "
+            f"order {', '.join(_PLACE)}"
+        )
+    cells = [(i, x.split(",")) for i, x in enumerate(rows, 2) if x.strip()]
+    table = number_rows(path, cells, len(_PLACE))
+    if not (np.abs(table) < 1e6).all():
+        raise InputError(
+            f"{path}: places of cells are missing or out of all bounds; "
+            "correct them or export it again"
+        )
+    return table
+
+
 def split(
     path, cells: int, mats: dict[str, tuple[int, int]]
 ) -> dict[str, np.ndarray]:

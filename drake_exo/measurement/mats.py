@@ -21,14 +21,13 @@ from drake_exo.files.mesh import read_cells
 from drake_exo.files.pressure import (
     PressureRecording,
     read_novel_asc,
+    read_places,
     read_pressure_csv,
     split,
 )
 from drake_exo.files.tables import (
     LENGTHS,
     kept,
-    number_rows,
-    read_text,
     uniform_time,
 )
 from drake_exo.measurement.sagittal import Axes
@@ -195,25 +194,11 @@ def _along(line: np.ndarray, share: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(share, s, x) for x in line.T])
 
 
-_CELL = ["row", "column", "x", "y", "z"]
-
-
 def _read_cells(path: Path, rows: int, columns: int) -> np.ndarray:
-    """Cells' places, in the order of the mat, from "row, column, x, y, z"."""
-    lines = [line.split(",") for line in read_text(path).splitlines()]
-    named = [name.strip().lower() for name in (lines or [[]])[0]]
-    if named != _CELL and sorted(named) == sorted(_CELL):
-        raise InputError(
-            f"{path}:1: columns are {', '.join(named)}; write them in the "
-            f"order {', '.join(_CELL)}"
-        )
-    rows_of = enumerate(lines[1:], 2)
-    cells = [(i, row) for i, row in rows_of if "".join(row).strip()]
-    table = number_rows(path, cells, 5)
+    """Cells' places, in the order of the mat."""
+    table = read_places(path)
     wanted = [(r, c) for r in range(rows) for c in range(columns)]
-    found = {}
-    if (np.abs(table) < 1e6).all():
-        found = {(int(t[0]) - 1, int(t[1]) - 1): t[2:] for t in table}
+    found = {(int(t[0]) - 1, int(t[1]) - 1): t[2:] for t in table}
     if sorted(found) != wanted or len(table) != len(wanted):
         raise InputError(
             f"{path}: must hold row (1 to {rows}), column (1 to {columns}), "

@@ -130,7 +130,7 @@ def test_csv_of_signals_and_of_pressure(tmp_path):
     assert "1 by 2 cells of a mat, in the scan's unit" in found
     assert "z: 703 to 717" in found
     (tmp_path / "cells.csv").write_text("row,column,x,y,z\n1,1,a,2,3\n")
-    with pytest.raises(InputError, match=r"cells\.csv: holds no row, column"):
+    with pytest.raises(InputError, match=r"cells\.csv:2: holds text among"):
         inspect(tmp_path / "cells.csv")
 
 
