@@ -23,7 +23,6 @@ from drake_exo.files.tables import (
 from drake_exo.measurement.filters import check_filterable, resample
 from drake_exo.measurement.sagittal import (
     PlanarWrench,
-    spatial_wrench,
 )
 from drake_exo.measurement.settings import (
     Filter,
@@ -305,13 +304,11 @@ def read_foot_forces(
     """
     time, recorded = _reader(path, _FORCE_READERS, "force")(path)
     time = uniform_time(str(path), time)
-    axes = laboratory.force_axes
-    sign = -1.0 if laboratory.forces_act_on == "plate" else 1.0
     plain = {}
     for foot in (*SIDES, "both", "chair"):
         used = [_plate(path, recorded, n) for n in plates.of(foot)]
         if used:
-            plain[foot] = sign * sum(spatial_wrench(p, axes) for p in used)
+            plain[foot] = sum(map(laboratory.on_body, used))
     wrenches = {foot: PlanarWrench.of_spatial(w) for foot, w in plain.items()}
     forces = FootForces(time, wrenches, str(path), recorded=plain)
     check_filterable(

@@ -15,9 +15,10 @@ import numpy as np
 
 from drake_exo.errors import InputError, check_file_name, nearest
 from drake_exo.files.schema import quantity
+from drake_exo.files.tables import PlateRecording
 from drake_exo.measurement.events import FootEvent
 from drake_exo.measurement.filters import low_pass
-from drake_exo.measurement.sagittal import Axes
+from drake_exo.measurement.sagittal import Axes, spatial_wrench
 from drake_exo.model.assembly import ASSEMBLIES, SIDES, Assembly
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.segments import (
@@ -261,6 +262,11 @@ class Laboratory:
     remove_plate_drift: bool = False
     hold_cop_below_n: float = quantity("N", 0.0, minimum=0.0)
     chair_on_thighs: float = quantity(None, 0.0, minimum=0.0, maximum=1.0)
+
+    def on_body(self, plate: PlateRecording) -> np.ndarray:
+        """Wrench (N, 6) of a plate on the body, see `spatial_wrench`."""
+        sign = -1.0 if self.forces_act_on == "plate" else 1.0
+        return sign * spatial_wrench(plate, self.force_axes)
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,6 @@ from drake_exo.measurement.recording import (
 from drake_exo.measurement.sagittal import (
     COP_THRESHOLD_N,
     Axes,
-    spatial_wrench,
 )
 from drake_exo.measurement.settings import (
     RecordingSettings,
@@ -110,14 +109,12 @@ def recorded_step(
             f"trial {trial}: no plate is the {foot} foot's alone; name it in "
             f"plates.{foot}"
         )
-    axes = lab.force_axes
-    sign = -1.0 if lab.forces_act_on == "plate" else 1.0
-    each = [sign * spatial_wrench(plate, axes) for plate in plates]
+    each = [lab.on_body(plate) for plate in plates]
     if files.empty_plates is not None:
         _, empty = plates_under(
             root / files.empty_plates, files.plates.of(foot)
         )
-        bare = [sign * spatial_wrench(plate, axes) for plate in empty]
+        bare = [lab.on_body(plate) for plate in empty]
         check_empty(files.empty_plates, bare)
         each = [w - b.mean(axis=0) for w, b in zip(each, bare, strict=True)]
     if lab.remove_plate_drift:
@@ -127,7 +124,7 @@ def recorded_step(
     contact = _chosen(found, start, end, number, where)
     first, last = _part(contact, start, end)
     used = _one_plate(time, each, (first, last), files.plates.of(foot), where)
-    height = _surface(plates[used], each[used], axes)
+    height = _surface(plates[used], each[used], lab.force_axes)
     markers = _foot_markers(settings, root, files, foot, contact)
     inside = between(markers.time, first, last)
     wrench = _at_frames(time, each[used], markers)
