@@ -188,14 +188,16 @@ class Recordings:
     def __init__(
         self, settings: RecordingSettings, root: Path, subject: SubjectModel
     ):
-        self._made_with = subject, settings, root
+        self._subject, self._settings, self._root = subject, settings, root
         self._found: dict[Any, Recording] = {}
 
     def of(self, files: TrialFiles, without: tuple[str, ...] = ()) -> Recording:
         """The recording that a trial is cut from; raises as `process`."""
         key = _recording(files), without
         if key not in self._found:
-            self._found[key] = process(key[0], *self._made_with, without)
+            self._found[key] = process(
+                key[0], self._subject, self._settings, self._root, without
+            )
         return self._found[key]
 
     def used(self, files: TrialFiles) -> Recording:
@@ -209,7 +211,7 @@ class Recordings:
         long = self._long(files)
         motion = self.of(files).motion
         gone = [*(gap.marker for gap in long), *motion.absent]
-        loose = self._made_with[0].markers.without(gone).loose()
+        loose = self._subject.markers.without(gone).loose()
         if loose is None:
             return None
         return (
@@ -228,19 +230,19 @@ class Recordings:
         Raises:
             InputError: a file or the study is not as it should be.
         """
-        subject, settings, _ = self._made_with
         problems = [p for p in map(self.problem, files) if p is not None]
         if problems:
-            longest = settings.laboratory.fill_gaps_s
+            longest = self._settings.laboratory.fill_gaps_s
             raise InputError(f"{'; '.join(problems)}; {gap_remedy(longest)}")
         return tuple(
-            cut(one, self.used(one), subject, settings) for one in files
+            cut(one, self.used(one), self._subject, self._settings)
+            for one in files
         )
 
     def _long(self, files: TrialFiles) -> list[Gap]:
         found = self.of(files)
         start, end, _ = _bounds(files, found)
-        reach = self._made_with[1].filter.reach_s
+        reach = self._settings.filter.reach_s
         return found.motion.gaps.too_long(start - reach, end + reach)
 
 
