@@ -392,14 +392,23 @@ class Identifiability:
         return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
     def advice(self) -> list[str]:
-        """What to fix, one sentence for each coupled pair."""
+        """What to fix, one sentence for each coupled pair.
+
+        A radius, which the settings fix by themselves, before anything else.
+        """
+        influence = dict(zip(self.names, self.influence, strict=True))
         lines = []
-        for first, second, cosine in self.coupled_pairs():
-            i, j = self.names.index(first), self.names.index(second)
-            weaker = first if self.influence[i] < self.influence[j] else second
+        for *pair, cosine in self.coupled_pairs():
+            radii = [name for name in pair if name.endswith(".radius")]
+            weaker = min(radii or pair, key=influence.get)
+            why = (
+                "as by default"
+                if radii
+                else "whose range moves the forces less"
+            )
             lines.append(
-                f"{first} and {second} are coupled (cosine {cosine:+.4f}): "
-                f"fix {weaker}, whose range moves the forces less"
+                f"{pair[0]} and {pair[1]} are coupled (cosine {cosine:+.4f}): "
+                f"fix {weaker}, {why}"
             )
         return lines
 

@@ -62,6 +62,11 @@ def test_coupled_parameters_are_found():
     assert pair[2] == pytest.approx(-1.0)
     (advice,) = found.advice()
     assert "fix weak" in advice
+    # What the method fixes anyway, whatever moves more.
+    (advice,) = analyse(
+        ["toe.z", "toe.radius"], np.column_stack([-0.1 * a, a])
+    ).advice()
+    assert "fix toe.radius, as by default" in advice
     np.testing.assert_allclose(found.influence * np.sqrt(3), [5, 0.5, 1])
     expected = [5.0 * np.sqrt(1.01), 1.0, 0.0]
     np.testing.assert_allclose(found.singular_values, expected, atol=1e-12)
