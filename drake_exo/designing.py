@@ -323,7 +323,7 @@ def movements(
     progress = Progress("own movements", len(trials))
     for k, trial in enumerate(trials):
         if today is None:
-            more = springs_answer(trial, contact, study.device)
+            more = springs_answer(trial, study.device)
         else:
             who, own = today
             more = answer(trial, who, own[k].trial, design)

@@ -1074,7 +1074,7 @@ def predict(
         settings, PredictionSettings, "settings", study.prediction
     )
     kind = PeriodicStep if settings.ends == "periodic" else PredictionProblem
-    answers = {trial.name: springs_answer(trial, scaled, study.device)}
+    answers = {trial.name: springs_answer(trial, study.device)}
 
     def pose(refined):
         return kind(

@@ -1047,11 +1047,14 @@ class Answer:
             [N m/rad].
         there: (n, m) that times the angles at which torques are as measured
             [N m].
+        springs: (m,) stiffness in it of those whose torque was measured at
+            angles that encoders told, with their errors [N m/rad].
     """
 
     times: np.ndarray
     slope: np.ndarray
     there: np.ndarray
+    springs: np.ndarray
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Slope, and what is taken off, at other times (k,)."""
@@ -1109,10 +1112,14 @@ def torque_terms(
         own = [name.endswith(f"_{side}") for name in beside]
         sigma[:, own] *= np.maximum(share, _IN_SWING)[:, None]
     sigma[:, [name.startswith("toes") for name in names.joints]] = np.inf
-    effects = effects and effects.moments
+    by_errors = effects and effects.moments
     if answer is None:
-        return [Tracking(movement.torque, at.moments, sigma, effects=effects)]
+        return [Tracking(movement.torque, at.moments, sigma, effects=by_errors)]
     own, rows = names.is_device_joint, np.eye(len(names.joints))
+    if effects is not None:
+        by_errors = by_errors.copy()
+        told = effects.q[:, names.device_columns]
+        by_errors[:, own] += answer.springs[:, None] * told
     slope, off = answer.at(at.times)
     by = np.zeros((*at.moments.shape, own.sum()))
     by[:, own] = -slope
@@ -1128,7 +1135,7 @@ def torque_terms(
                 [np.broadcast_to(rows, by.shape[:2] + rows.shape[:1]), by],
                 axis=2,
             ),
-            effects=effects,
+            effects=by_errors,
         )
     ]
 

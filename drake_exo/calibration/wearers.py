@@ -204,10 +204,11 @@ def passive_torques(
     """What friction and springs give (n, joints) in a trial [N m].
 
     As a bench identified them, friction corrected by what a calibration has
-    found that bench to be off; zero where there was none.
+    found that bench to be off, springs at true angles; zero where there was
+    none.
 
     Args:
-        trial: whose angles and rates count.
+        trial: measured or solved, whose angles and rates count.
         model: subject and device.
         contact: with the calibration's posterior, if there is one.
         device: as the study file describes it.
@@ -216,7 +217,11 @@ def passive_torques(
         return np.zeros((len(trial.times), len(trial.coordinates.device)))
     share = 1.0 - _found(contact, "friction", trial.coordinates.device)
     friction = friction_moments(device, model.tree, trial.v)
-    springs = spring_moments(device, model.tree, trial.q)
+    # Moments of the study's device are those at angles as they were recorded.
+    known = None if _is_modelled(trial) else contact
+    q = trial.q.copy()
+    q[:, trial.coordinates.device_columns] = _device_angles(trial, known)
+    springs = spring_moments(device, model.tree, q)
     return np.maximum(share, 0.0) * friction + springs
 
 
@@ -235,10 +240,11 @@ def _found(contact: ContactModel | None, error: str, joints) -> np.ndarray:
 def _device_angles(trial: Trial, contact: ContactModel | None) -> np.ndarray:
     """True angles (n, m) of the device's joints [rad].
 
-    Without encoders they are the person's, and no encoder is off.
+    Without encoders they are the person's, and no encoder is off; nor are
+    those of a solution.
     """
     names = trial.coordinates
-    if not has_encoders(trial):
+    if trial.source == "solved" or not has_encoders(trial):
         return trial.q[:, names.device_columns]
     off = _found(contact, "encoder", names.device)
     return trial.q[:, names.device_columns] - off
@@ -362,12 +368,13 @@ def answer(trial: Trial, wearer: Wearer, own: Trial, design: Design) -> Answer:
         design: acts on them, see `assisted`.
     """
     drives = drives_answer(trial, wearer, own, design)
-    at = trial.sample(own.times)
-    springs = springs_answer(at, wearer.contact, wearer.device)
+    springs = springs_answer(trial.sample(own.times), wearer.device)
     if springs is None:
         return drives
-    return Answer(
-        own.times, drives.slope + springs.slope, drives.there + springs.there
+    return replace(
+        springs,
+        slope=drives.slope + springs.slope,
+        there=drives.there + springs.there,
     )
 
 
@@ -386,24 +393,28 @@ def drives_answer(
     slope = posture_slope(wearer.model, wearer.law, own.q)
     slope *= (given - none)[:, :, None]
     there = np.einsum("nij,nj->ni", slope, own.q[:, names.device_columns])
-    return Answer(own.times, slope, there)
+    return Answer(own.times, slope, there, np.zeros(slope.shape[1]))
 
 
-def springs_answer(
-    trial: Trial, contact: ContactModel, device: Device | None
-) -> Answer | None:
+def springs_answer(trial: Trial, device: Device | None) -> Answer | None:
     """How springs answer where the device goes another way than in a trial.
 
     None where there are none.
+
+    Args:
+        trial: measured.
+        device: as the study file describes it.
     """
     springs = spring_stiffness(device, trial.coordinates)
     if not springs.any():
         return None
     slope = np.tile(np.diag(-springs), (len(trial.times), 1, 1))
-    # Moments of the study's device are those at angles as they were recorded.
-    known = None if _is_modelled(trial) else contact
-    there = -springs * _device_angles(trial, known)
-    return Answer(trial.times, slope, there)
+    there = -springs * trial.q[:, trial.coordinates.device_columns]
+    # The study's device gives torques of just these angles, right or wrong.
+    exact = _is_modelled(trial) or not has_encoders(trial)
+    return Answer(
+        trial.times, slope, there, 0.0 * springs if exact else springs
+    )
 
 
 def _without(trial: Trial, removed: Sequence[str]) -> Trial:

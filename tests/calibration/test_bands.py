@@ -9,8 +9,9 @@ import pytest
 from measured_trials import CUFFS, JOINTS, NAMES, moved, prediction, seen
 from scipy.linalg import null_space
 
+import drake_exo as dx
 from drake_exo.calibration import uncertainty as module
-from drake_exo.calibration.error_model import ErrorSizes
+from drake_exo.calibration.error_model import NO_ERRORS, ErrorSizes
 from drake_exo.calibration.phases import (
     InteractionCalibration,
     PredictionProblem,
@@ -34,6 +35,9 @@ from drake_exo.calibration.uncertainty import (
     posterior,
 )
 from drake_exo.collocation.trial_program import Tracking
+from drake_exo.contact.parameters import Posterior
+from drake_exo.measurement.settings import Device, JointDrive
+from drake_exo.virtual_laboratory.synthetic import rises_in_device
 
 DEGREES = 180.0 / np.pi
 
@@ -653,3 +657,43 @@ def test_noise_of_a_filter_has_its_spectrum():
     h = times[1] - times[0]
     smooth = np.gradient(values[:, 0], h)[1:-1]
     np.testing.assert_allclose(smooth, slopes[1:-1, 0], atol=2e-6)
+
+
+@pytest.mark.slow
+def test_what_a_springs_angle_is_unsure_of_is_in_the_bands():
+    """Half a degree of an encoder's zero is a torque across a stiff joint."""
+    made = rises_in_device(1, nodes_per_second=20)
+    (trial,) = made.trials
+    names = made.model.coordinates.device
+    errors = replace(NO_ERRORS, encoder_offset_deg=2.0)
+    zero, sd = names.index("exo_knee"), np.deg2rad(0.5)
+
+    def forces(source, mean, unsure):
+        """Of the shank's cuff, and variance of them by the band."""
+        said = {"moments": {"exoskeleton": source}}
+        study = dx.Study(made.model, made.trials)
+        study.device = Device(knee=JointDrive(stiffness_nm_rad=100.0))
+        study.prediction = PredictionSettings(errors=errors)
+        means, variances = np.zeros(len(names)), np.full(len(names), 1e-12)
+        means[zero], variances[zero] = mean, unsure**2
+        found = dx.predict(
+            study,
+            replace(trial, provenance=trial.provenance | said),
+            replace(
+                made.contact,
+                posterior=Posterior(
+                    tuple(f"encoder.{n}" for n in names),
+                    means,
+                    np.diag(variances),
+                ),
+            ),
+        )
+        band = found.bands().cuffs["shank"][:, 1] / QUANTILE_95
+        return found.cuffs["shank"].normal, band**2
+
+    for source, least in (("recorded", 1.4), ("device model", 0.0)):
+        sure, known = forces(source, 0.0, 1e-6)
+        _, unsure = forces(source, 0.0, sd)
+        moved, _ = forces(source, sd, 1e-6)
+        more = np.sqrt(np.maximum(unsure - known, 0.0)).mean()
+        assert least < more < 1.2 * np.abs(moved - sure).mean()

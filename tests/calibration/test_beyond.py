@@ -15,6 +15,7 @@ from drake_exo.calibration.wearers import (
     OwnMovement,
     answer,
     assisted,
+    passive_torques,
     posture_law,
     posture_slope,
     springs_answer,
@@ -107,17 +108,28 @@ def test_a_springs_torque_is_as_its_moments_were_made(wearer):
     (own,) = wearer.trials
     known = Posterior(("encoder.exo_knee",), np.array([0.05]), 1e-6 * np.eye(1))
     contact = replace(wearer.contact, posterior=known)
-    device = Device(knee=JointDrive(stiffness_nm_rad=60.0))
+    device = Device(knee=JointDrive(stiffness_nm_rad=60.0, rest_deg=20.0))
     k = own.coordinates.device.index("exo_knee")
-    for source, off in (("recorded", 0.05), ("device model", 0.0)):
-        said = {"moments": {"exoskeleton": source}}
-        found = springs_answer(replace(own, provenance=said), contact, device)
+    knee, rest = own.coordinate("exo_knee"), np.deg2rad(20.0)
+    taken = {"exoskeleton_angles": "the person's"}
+    for said, off in (
+        ({"moments": {"exoskeleton": "recorded"}}, 0.05),
+        ({"moments": {"exoskeleton": "device model"}}, 0.0),
+        (taken, 0.0),
+    ):
+        trial = replace(own, provenance=said)
+        found = springs_answer(trial, device)
         assert (found.slope[:, k, k] == -60.0).all()
-        np.testing.assert_allclose(
-            found.there[:, k], -60.0 * (own.coordinate("exo_knee") - off)
-        )
+        np.testing.assert_allclose(found.there[:, k], -60.0 * knee)
         assert not np.delete(found.there, k, axis=1).any()
-    assert springs_answer(own, contact, None) is None
+        assert found.springs.tolist() == [0.0, 60.0 if off else 0.0, 0.0]
+        # A factor on drives leaves a spring as it is.
+        passive = passive_torques(trial, wearer.model, contact, device)
+        np.testing.assert_allclose(passive[:, k], -60.0 * (knee - off - rest))
+        solved = replace(trial, source="solved")
+        passive = passive_torques(solved, wearer.model, contact, device)
+        np.testing.assert_allclose(passive[:, k], -60.0 * (knee - rest))
+    assert springs_answer(own, None) is None
 
 
 # Torque of knee and hip by the sine of the links' inclinations [N m].

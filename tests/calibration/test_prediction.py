@@ -7,8 +7,10 @@ import pytest
 
 import drake_exo as dx
 from drake_exo.calibration.audit import rms, rmsd
+from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.cli.predict import load_controller
+from drake_exo.contact.parameters import Posterior
 from drake_exo.contact.systems import AssistController
 from drake_exo.errors import InputError
 from drake_exo.measurement.settings import Device, JointDrive
@@ -191,7 +193,23 @@ def test_springs_answer_to_where_the_device_goes():
     more = found.moment("exo_knee") - at.moment("exo_knee")
     assert np.abs(60.0 * off).max() > 1.0
     np.testing.assert_allclose(more, -60.0 * off, atol=0.4)
+    # Where encoders are off by what a calibration found, a spring is, too.
+    names = trial.coordinates
+    known = Posterior(
+        ("encoder.exo_knee",), np.array([0.05]), 1e-10 * np.eye(1)
+    )
+    sure = replace(contact, posterior=known)
+    shifted = trial.q.copy()
+    shifted[:, names.index("exo_knee")] += 0.05
+    study.prediction = PredictionSettings(
+        errors=replace(NO_ERRORS, encoder_offset_deg=2.0)
+    )
+    as_off = dx.predict(study, replace(trial, q=shifted), sure)
+    known = replace(known, values=np.zeros(1))
+    as_is = dx.predict(study, trial, replace(contact, posterior=known))
+    np.testing.assert_allclose(as_off.moments, as_is.moments, atol=1e-3)
     # A controller gives all of the torque.
+    study.prediction = PredictionSettings()
     controller = AssistController(knee_nm=10.0)
     driven = dx.predict(study, trial, contact, controller=controller)
     study.device = None
