@@ -158,7 +158,7 @@ _SETTINGS = {
     "filter": Filter,
 }
 _PARTS = "name", "model", "sole", "device"
-_KEPT = "file", "root", "reads", "_trials", "_loaded", "_judged"
+_KEPT = "file", "root", "path", "_trials", "_loaded", "_judged"
 
 
 class Study:
@@ -352,14 +352,13 @@ class RecordedStudy(Study):
     Attributes:
         file: what the study file says.
         root: folder that its paths start from.
-        reads: the study file and all that it names.
+        path: of that file, if it was read from one.
     """
 
     def __init__(self, file: StudyFile, root: Path, path: Path | None = None):
         self.file = file
         self.root = root
-        named = [root / name for name in schema.paths_of(file)]
-        self.reads = [*named, path] if path else named
+        self.path = path
         self.name = file.subject.name
         self.sole = None
         if file.foot_ground.of_sole:
@@ -386,6 +385,12 @@ class RecordedStudy(Study):
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {_named(self.file.trials)})"
+
+    @property
+    def reads(self) -> Sequence[Path]:
+        """The study file and all that it names."""
+        named = [self.root / name for name in schema.paths_of(self.file)]
+        return [*named, self.path] if self.path else named
 
     @cached_property
     def recordings(self) -> Recordings:
@@ -422,7 +427,8 @@ class RecordedStudy(Study):
         files = tuple(t for t in self.file.trials if use in (None, t.use))
         if not files:
             raise InputError(
-                f"no trial is for {use}; give those that are 'use: {use}'"
+                f"{self.path or self.name}: no trial is for {use}; give those "
+                f"that are 'use: {use}'"
             )
         missing = tuple(f for f in files if f.name not in self._loaded)
         found = self.recordings.trials(missing)

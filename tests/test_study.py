@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,6 +33,12 @@ def test_reads_the_real_study(tmp_path):
     assert (study.name, study.filter) == (file.subject.name, file.filter)
     elsewhere = read_study(STUDY, tmp_path)
     assert (elsewhere.file, elsewhere.root) == (file, tmp_path)
+
+
+def test_a_use_without_trials_is_told_of_the_file():
+    words = f"{STUDY}: no trial is for prediction"
+    with pytest.raises(InputError, match=re.escape(words)):
+        read_study(STUDY).trials("prediction")
 
 
 def test_study_survives_writing():
