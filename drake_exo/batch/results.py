@@ -81,6 +81,8 @@ _UNITS = {
 }
 # Parts of summary.json that are lists of one dictionary for each trial.
 _OF_TRIALS = ("rmsd", "rmsd_uncalibrated", "band_coverage", "audit", "solves")
+# Parts whose numbers are below names of joints, cuffs or wearers.
+_BY_NAME = (*_OF_TRIALS, "measured_sd", "peaks_n", "wearers_n")
 _NOT_TOLD = frozenset(
     ("evaluations", "binding_bounds", "worst_constraints", "settings")
 )
@@ -227,15 +229,19 @@ def _is_number(value) -> bool:
 def unit_of(signal: str) -> str:
     """By the last part of a dotted name that tells one; shares have none.
 
+    Where parts after a kind are names that users gave, by the first.
+
     >>> unit_of("rmsd.velocities_deg_s.exo_hip"), unit_of("rmsd.cop_mm")
     ('deg/s', 'mm')
     """
-    first, *rest = signal.split(".")
-    if first == "band_coverage" and rest[0] != "half_width_n":
+    parts = signal.split(".")
+    if parts[0] == "band_coverage" and parts[1] != "half_width_n":
         return ""
-    if first == "multipliers":  # of limits that are scaled
+    if parts[0] == "multipliers":  # of limits that are scaled
         return ""
-    for part in reversed([first, *rest]):
+    if parts[0] not in _BY_NAME:
+        parts.reverse()
+    for part in parts:
         for end, unit in _UNITS.items():
             if part.endswith(end):
                 return unit

@@ -100,6 +100,10 @@ def test_rows(batch):
     [
         ("rmsd.velocities_deg_s.hip", "deg/s"),
         ("rmsd.moments_nm.knee", "N m"),
+        ("rmsd.angles_deg.exo_s", "deg"),  # however joints are called
+        ("rmsd.foot.x_mm", "mm"),
+        ("peaks_n.brace_m.today", "N"),
+        ("wearers_n.Adam_s.before", "N"),
         ("iterations", ""),
         ("stability_min_n_per_m", "N/m"),
         ("c_tr", "N/m"),
