@@ -685,15 +685,13 @@ def sized(
     """Wearers with bodies of a population, who move as one that is known.
 
     Args:
-        wearer: as calibrated.
+        wearer: as calibrated, see `check_population`.
         population: whose percentiles of height and mass.
         settings: noise and grid of their own movements.
 
     Raises:
-        InputError: the device does not adjust to a body, the person has two
-            legs or bears a load, or a body's movement cannot be solved.
+        InputError: a body's movement cannot be solved.
     """
-    check_population(wearer)
     model = wearer.model
     human, found = model.human, []
     ankle = human.ankle_height_m
