@@ -209,7 +209,7 @@ def inputs(study: Study, use: Use, settings, contact=None, **more) -> str:
     """Digits that tell apart what results are made of.
 
     Args:
-        study: with its trials of the use.
+        study: with its name and its trials of the use.
         use: calibration or prediction.
         settings: of the phase; those of Phase A count as well, and of a
             prediction those of Phase B, which find its clocks, and springs
@@ -223,7 +223,8 @@ def inputs(study: Study, use: Use, settings, contact=None, **more) -> str:
     if use == "prediction":
         springs = spring_stiffness(study.device, study.model.coordinates)
         said += [study.interaction, springs]
-    return checksum([use, study.model, said, study.sole, trials, known, more])
+    who = study.name, study.model, study.sole
+    return checksum([use, who, said, trials, known, more])
 
 
 def finished(folder: Path, of: str, points: int = 0) -> Verdict | None:

@@ -81,6 +81,10 @@ def test_springs_tell_predictions_apart():
             [inputs(study, use, study.prediction, made.contact) for use in uses]
         )
     assert [a == b for a, b in zip(*found, strict=True)] == [True, False]
+    # As does the subject's name, which is in the results.
+    study.name = "somebody else"
+    again = inputs(study, uses[0], study.prediction, made.contact)
+    assert again != found[1][0]
 
 
 @pytest.mark.slow
