@@ -139,39 +139,33 @@ def _run(parsed: Callable[[], argparse.Namespace]) -> int:
         args = parsed()  # which imports the command, for a second or two
         return args.run(args) or 0
     except InputError as error:
-        print(f"drake-exo: error: {error}", file=sys.stderr)
-        return 2
+        said = str(error)
     except BrokenPipeError:
         # Whoever read the output has gone, such as `head`.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as error:
-        if error.errno in _NO_PATH:
-            print(
-                f"drake-exo: error: {first_line(str(error.filename))}: "
-                f"{error.strerror}; give another path",
-                file=sys.stderr,
-            )
-            return 2
-        if error.errno not in _NO_ROOM:
-            raise
         place = error.filename or getattr(args, "out", None) or "the results"
-        print(
-            f"drake-exo: error: {place}: cannot be written "
-            f"({error.strerror}); make room or choose another folder for "
-            "--out; what was written before is kept",
-            file=sys.stderr,
-        )
-        return 2
+        if error.errno in _NO_PATH:
+            place = first_line(str(error.filename))
+            said = f"{place}: {error.strerror}; give another path"
+        elif error.errno in _NO_ROOM:
+            said = (
+                f"{place}: cannot be written ({error.strerror}); make room or "
+                "choose another folder for --out; what was written before is "
+                "kept"
+            )
+        else:
+            raise
     except MemoryError as error:
-        print(
-            f"drake-exo: error: more memory is needed than there is ({error}); "
-            "give a coarser mesh or grid, or fewer samples",
-            file=sys.stderr,
+        said = (
+            f"more memory is needed than there is ({error}); give a coarser "
+            "mesh or grid, or fewer samples"
         )
-        return 2
     except BaseException as error:
         if not was_interrupted(error):
             raise
         print("drake-exo: interrupted", file=sys.stderr)
         return 130
+    print(f"drake-exo: error: {said}", file=sys.stderr)
+    return 2

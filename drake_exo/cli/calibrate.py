@@ -122,20 +122,9 @@ def run(args: argparse.Namespace) -> int:
     folder = prepare_output_folder(
         args.out, args.force, args.resume, [*study.reads, args.calibration]
     )
+    drawn = bool(study.foot_ground.front) and not args.no_front
+    front = drawn and study.sole is None
     with folder as out:
-        of = inputs(
-            study,
-            "calibration",
-            study.foot_ground if only_foot else study.interaction,
-            contact,
-        )
-        drawn = bool(study.foot_ground.front) and not args.no_front
-        front = drawn and only_foot and study.sole is None
-        points = len(study.foot_ground.front_factors) if front else 0
-        done = finished(out, of, points) if args.resume else None
-        if done is not None:
-            print(f"{args.out} is complete; nothing to resume")
-            return done.exit_code
         if only_foot:
             code = write_foot_ground(
                 study, out, args.resume, front, checks, args.accept
@@ -158,10 +147,14 @@ def write_foot_ground(
     accepted: Sequence[str] = (),
 ) -> int:
     """Phase A into a folder; returns the exit code."""
+    of = inputs(study, "calibration", study.foot_ground)
+    points = len(study.foot_ground.front_factors) if front else 0
+    done = finished(out, of, points) if resume else None
+    if done is not None:
+        return done.exit_code
     write_inputs(out, study.model, study.trials("calibration"))
-    more = {"inputs": inputs(study, "calibration", study.foot_ground)}
     found = calibrate_foot_ground(study, folder=out, resume=resume)
-    return _write(found, out, more, front, checks, accepted)
+    return _write(found, out, {"inputs": of}, front, checks, accepted)
 
 
 def write_interaction(
@@ -174,19 +167,14 @@ def write_interaction(
 ) -> int:
     """Phase A, unless its contact is given, then Phase B; as above."""
     of = inputs(study, "calibration", study.interaction, contact)
-    more, code = {"inputs": of}, 0
+    done = finished(out, of) if resume else None
+    if done is not None:
+        return done.exit_code
+    more = {"inputs": of}
     if contact is None:
         folder = out / FOOT_GROUND
         folder.mkdir(exist_ok=True)
-        done = None
-        if resume:
-            ground = inputs(study, "calibration", study.foot_ground)
-            done = finished(folder, ground)
-        code = (
-            write_foot_ground(study, folder, resume, False, checks, accepted)
-            if done is None
-            else done.exit_code
-        )
+        code = write_foot_ground(study, folder, resume, False, checks, accepted)
         if code not in (0, FAILS_CODE):
             return code
         text = (folder / SUMMARY).read_text("utf-8")
@@ -251,8 +239,10 @@ def finished(folder: Path, of: str, points: int = 0) -> Verdict | None:
             "choose another folder for --out, or replace it with --force "
             "instead of --resume"
         )
-    is_cut = "front" in summary and len(summary["front"]) < points
-    return None if is_cut else found
+    if "front" in summary and len(summary["front"]) < points:
+        return None
+    print(f"{folder} is complete; nothing to resume")
+    return found
 
 
 def _write(

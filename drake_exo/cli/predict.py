@@ -178,7 +178,6 @@ def write_predictions(
     )
     done = finished(out, of) if resume else None
     if done is not None:
-        print(f"{out} is complete; nothing to resume")
         return done.exit_code
     usual = usual or uncalibrated(study.model, contact)
     how = {"scale_interaction": scale_interaction, "controller": controller}
