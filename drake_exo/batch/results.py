@@ -15,7 +15,7 @@ import io
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 from importlib.resources import files
 from itertools import cycle
 from pathlib import Path
@@ -496,32 +496,28 @@ def peak_rows(batch: Batch, rows: list[Row]) -> list[Row]:
             seen.setdefault((row.folder, row.trial), row)
     for (folder, trial), row in seen.items():
         place = batch.out / folder
-        pair = read_trial(place, trial), read_trial(place, trial, "measured")
-        for source, peaks in zip(
-            (PREDICTED, MEASURED), _peaks(*pair), strict=True
-        ):
-            for (signal, unit), value in peaks.items():
-                values = vars(row) | {"signal": source + signal}
-                found.append(Row(**values | {"value": value, "unit": unit}))
+        predicted = _peaks(read_trial(place, trial))
+        measured = _peaks(read_trial(place, trial, "measured"))
+        both = [key for key in predicted if key in measured]
+        found += [
+            replace(row, signal=source + key[0], value=peaks[key], unit=key[1])
+            for source, peaks in ((PREDICTED, predicted), (MEASURED, measured))
+            for key in both
+        ]
     return found
 
 
-def _peaks(found: Trial, measured: Trial) -> tuple[dict, dict]:
-    """Of signals that both have, by (name, unit)."""
-    signals = {("ground reaction", "N"): lambda t: t.ground.force_z}
-    for cuff in found.cuffs:
-        if cuff in measured.cuffs:
-            signals[f"normal force {cuff}", "N"] = lambda t, cuff=cuff: (
-                t.cuffs[cuff].normal
-            )
-    if found.moments is not None and measured.moments is not None:
-        for k, joint in enumerate(found.coordinates.joints):
-            signals[f"moment {joint}", "N m"] = lambda t, k=k: t.moments[:, k]
-    peaks = {}, {}
-    for key, signal in signals.items():
-        for trial, into in zip((found, measured), peaks, strict=True):
-            into[key] = float(np.nanmax(np.abs(signal(trial))))
-    return peaks
+def _peaks(trial: Trial) -> dict[tuple[str, str], float]:
+    """Largest size of each signal of a trial, by (name, unit)."""
+    signals = {("ground reaction", "N"): trial.ground.force_z}
+    for cuff, force in trial.cuffs.items():
+        signals[f"normal force {cuff}", "N"] = force.normal
+    if trial.moments is not None:
+        for joint, moment in zip(
+            trial.coordinates.joints, trial.moments.T, strict=True
+        ):
+            signals[f"moment {joint}", "N m"] = moment
+    return {k: float(np.nanmax(np.abs(x))) for k, x in signals.items()}
 
 
 def limits_of_agreement(

@@ -263,9 +263,11 @@ def test_peaks_are_read_where_predictions_are(monkeypatch, tmp_path):
         return kind
 
     monkeypatch.setattr("drake_exo.calibration.results.read_trial", read_trial)
-    monkeypatch.setattr(
-        results, "_peaks", lambda *_: ({("a", "N"): 3.0}, {("a", "N"): 4.0})
-    )
+    peaks = {
+        "solution": {("a", "N"): 3.0, ("of no mat", "N"): 5.0},
+        "measured": {("a", "N"): 4.0},
+    }
+    monkeypatch.setattr(results, "_peaks", peaks.get)
     empty = dict.fromkeys(Row.__dataclass_fields__, "")
 
     def row(**values):
