@@ -605,17 +605,6 @@ class Here(Pool):
         value = function_of(job.function)(**job.arguments)
         return [Ended(job.name, "done", value, attempts=1)]
 
-    def running(self) -> dict[str, float]:
-        """See `Pool`."""
-        return {}
-
-    def workers(self) -> int:
-        """See `Pool`."""
-        return 1
-
-    def close(self) -> None:
-        """See `Pool`."""
-
 
 _LEAVE_SECONDS = 20.0  # that a call may take to write what it has
 
