@@ -9,7 +9,7 @@ they are is among the checks of a phase (`files.output.Verdict`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,6 @@ from drake_exo.calibration.audit import Audit
 from drake_exo.calibration.error_model import CLOCKS, shared_moments
 from drake_exo.calibration.phases import InteractionCalibration
 from drake_exo.calibration.problem import (
-    Parts,
     PhaseProblem,
     PhaseResult,
     has_encoders,
@@ -178,8 +177,6 @@ class Timing(InteractionCalibration):
         trials: Sequence[Trial],
         contact: ContactModel,
         settings: InteractionSettings,
-        *,
-        refined: Mapping[str, Parts] | None = None,
     ):
         values = contact.values()
         # A single trial may not slip at all.
@@ -208,7 +205,6 @@ class Timing(InteractionCalibration):
             settings,
             settings.errors,
             contact.posterior,
-            refined,
         )
 
     def _prior(self) -> tuple[list[str], np.ndarray, np.ndarray]:

@@ -443,12 +443,6 @@ class _Wearing(PhaseProblem):
             self._beyond[cuff] = beyond
         return self._beyond[cuff]
 
-    def _fill_beyond(self, x: np.ndarray, cuff: str, slid: np.ndarray) -> None:
-        if cuff in self._beyond:
-            index = self.program.indices(self._beyond[cuff])
-            over = slid.max() - self._most_migration(cuff)
-            x[index] = np.maximum(x[index], over)
-
     def _most_migration(self, cuff: str) -> float:
         """Limit on the model's migration [m]."""
         limit = 1e-3 * self._posed.settings.limits.migration_mm
@@ -670,7 +664,10 @@ class _Wearing(PhaseProblem):
             deflection, force, _ = self._cuff_at(x, cuff, at.q, contact)
             cuffs[cuff] = force
             slid, pressing = deflection[:, TANGENTIAL], force[:, NORMAL]
-            self._fill_beyond(x, cuff, np.abs(slid))
+            if cuff in self._beyond:
+                beyond = indices(self._beyond[cuff])
+                over = np.abs(slid).max() - self._most_migration(cuff)
+                x[beyond] = np.maximum(x[beyond], over)
             area = self._posed.settings.freedom(cuff).area_m2
             area *= design.cuffs.get(cuff, CuffDesign()).area
             limited["migration", cuff] = slid
@@ -835,7 +832,7 @@ class DesignProblem(Compiles):
         wearers = {}
         for part in self.parts:
             trials = [
-                replace(part._read(m, t, x), name=own.name)
+                replace(part.read(m, t, x), name=own.name)
                 for m, t, own in zip(
                     part.movements,
                     part.trials,

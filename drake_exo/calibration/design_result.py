@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -186,14 +186,6 @@ class Norm(NamedTuple):
         """The norm [N]."""
         return float((self.total / self.duration) ** (1.0 / self.order))
 
-    def with_more(self, other: Norm) -> Norm:
-        """Of these trials and others."""
-        return Norm(
-            self.total + other.total,
-            self.duration + other.duration,
-            self.order,
-        )
-
 
 def norm_of(
     trials: Sequence[Trial],
@@ -236,7 +228,8 @@ def worn_norm(
 
 def joint_norm(norms: Iterable[Norm]) -> float:
     """Of several wearers together [N]."""
-    return reduce(Norm.with_more, norms).newton
+    totals, durations, orders = zip(*norms, strict=True)
+    return Norm(sum(totals), sum(durations), orders[0]).newton
 
 
 def works(result: DesignResult) -> dict[str, float]:

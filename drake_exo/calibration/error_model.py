@@ -126,7 +126,7 @@ class ErrorModel:
                 ("skin", "rad/rad", sizes.skin),
                 ("bend", "rad/rad^2", sizes.skin_bend),
             )
-            for segment, joints in _neighbours(model).items()
+            for segment, joints in _moved(model).items()
             for joint in joints
         ]
         offset = float(np.deg2rad(sizes.encoder_offset_deg))
@@ -174,7 +174,9 @@ class ErrorModel:
         moments = np.zeros((n, names.num_joints, m))
         normal = {cuff: np.zeros((n, m)) for cuff in at.cuffs}
         device = names.device_columns
-        turns = _turns(self._model)
+        moved, human = _moved(self._model), names.columns(names.human)
+        alone = self._model.tree.turned_alone(moved, human)
+        turns = dict(zip(moved, alone, strict=True))
         for k, unknown in enumerate(self.unknowns):
             if unknown.trial not in (None, at.name):
                 continue
@@ -269,25 +271,10 @@ def _squared(f, rate, acceleration):
     return f * f, 2.0 * f * rate, 2.0 * (rate * rate + f * acceleration)
 
 
-def _neighbours(model: Model) -> dict[str, tuple[str, ...]]:
+def _moved(model: Model) -> dict[str, tuple[str, ...]]:
     """Segment that each human joint moves -> the joints at its ends."""
     joints = {name: model.tree.joints[name] for name in model.coordinates.human}
     return {
         child: tuple(name for name, ends in joints.items() if child in ends)
         for _, child in joints.values()
     }
-
-
-def _segments(model: Model) -> list[str]:
-    """The human's segment that each of its joints moves, from the root."""
-    joints = model.tree.joints
-    return [joints[name][1] for name in model.coordinates.human]
-
-
-def _turns(model: Model) -> dict[str, np.ndarray]:
-    """Segment -> change of all coordinates (nq,) if it alone turns by 1."""
-    tree, names = model.tree, model.coordinates
-    columns = names.columns(names.human)
-    segments = _segments(model)
-    turns = tree.turned_alone(segments, columns)
-    return dict(zip(segments, turns, strict=True))

@@ -426,16 +426,13 @@ class PredictionProblem(PhaseProblem):
 
     def _add(self, trial: Trial) -> TrialProgram:
         movement = super()._add(trial)
-        self._limit(movement)
+        limit = np.full(movement.torque.size, self.settings.torque_limit_nm)
+        movement.bound(movement.torque.ravel(), -limit, limit)
         everything = dict.fromkeys(self.bushings, EVERY)
         self.minimise_energy(movement, everything, self.settings.noise.energy_j)
         if self._controller is not None:
             self._drive(movement)
         return movement
-
-    def _limit(self, movement: TrialProgram) -> None:
-        limit = np.full(movement.torque.size, self.settings.torque_limit_nm)
-        movement.bound(movement.torque.ravel(), -limit, limit)
 
     def _drive(self, movement: TrialProgram) -> None:
         """Tie the exoskeleton's torques to the controller."""

@@ -104,7 +104,13 @@ class PhaseResult:
     @cached_property
     def trials(self) -> list[Trial]:
         """The solution of each trial."""
-        return self.problem.trials_at(self.values)
+        problem = self.problem
+        return [
+            problem.read(movement, trial, self.values)
+            for movement, trial in zip(
+                problem.movements, problem.trials, strict=True
+            )
+        ]
 
     @cached_property
     def grounds(self) -> list[np.ndarray]:
@@ -317,20 +323,6 @@ class PhaseProblem(Compiles, ABC):
         check_names(names, known)
         return every[[known.index(name) for name in names]]
 
-    def _begin(
-        self, trial: Trial
-    ) -> tuple[TrialProgram, Trial, Effects | None]:
-        """A trial without its cost, its ends held.
-
-        Returns:
-            The movement; the trial as measured at its nodes; what the unknown
-            errors do to it.
-        """
-        movement = self._movement(trial)
-        at = trial.sample(movement.grid.times)
-        self._hold_ends(movement, at)
-        return movement, at, self._effects(at)
-
     def _hold_ends(self, movement: TrialProgram, at: Trial) -> None:
         """Initial and final states near the measured ones (II-C).
 
@@ -392,10 +384,11 @@ class PhaseProblem(Compiles, ABC):
 
     def _add(self, trial: Trial) -> TrialProgram:
         """Add a trial: dynamics, contact, ends, cost."""
-        movement, at, effects = self._begin(trial)
-        movement.add_tracking_cost(
-            self._terms(movement, at, effects), self.error_variables
-        )
+        movement = self._movement(trial)
+        at = trial.sample(movement.grid.times)
+        self._hold_ends(movement, at)
+        terms = self._terms(movement, at, self._effects(at))
+        movement.add_tracking_cost(terms, self.error_variables)
         movement.add_jerk_cost(self.jerk)
         if movement.is_tracked and movement.name in self.refined:
             # From the start it would lead a step to other optima.
@@ -671,15 +664,14 @@ class PhaseProblem(Compiles, ABC):
             for p, value in zip(self.parameters, found, strict=True)
         ]
 
-    def trials_at(self, x: np.ndarray) -> list[Trial]:
-        """Trajectories among program variables."""
-        return [
-            self._read(m, t, x)
-            for m, t in zip(self.movements, self.trials, strict=True)
-        ]
+    def read(self, movement: TrialProgram, trial: Trial, x) -> Trial:
+        """A trial's solution; what acted on it is as measured.
 
-    def _read(self, movement: TrialProgram, trial: Trial, x) -> Trial:
-        """A trial's solution; what acted on it is as measured."""
+        Args:
+            movement: of the program.
+            trial: as measured.
+            x: all program variables.
+        """
 
         def read(variables):
             return x[self.program.indices(variables)]

@@ -217,25 +217,22 @@ def write_contact(
         contact: calibrated or not.
         origin: of the calibration; without it `read_contact` asks for leave.
     """
+    bushings = contact.bushings.items()
     stored = {
         "law": contact.ground.law,
-        "constants": asdict(contact.ground.constants),
+        "constants": contact.ground.constants,
         "parameters": contact.values(),
         "units": contact.units(),
-        "damping": {c: b.damping for c, b in contact.bushings.items()},
+        "damping": {c: b.damping for c, b in bushings},
+        "jerk": contact.jerk,
     }
-    preload = {
-        c: b.preload for c, b in contact.bushings.items() if any(b.preload)
+    if_any = {
+        "preload": {c: b.preload for c, b in bushings if any(b.preload)},
+        "posterior": contact.posterior,
+        "of_sole": contact.ground.of_sole,
+        "origin": origin,
     }
-    if preload:
-        stored["preload"] = preload
-    if contact.posterior is not None:
-        stored["posterior"] = asdict(contact.posterior)
-    stored["jerk"] = contact.jerk
-    if contact.ground.of_sole:
-        stored["of_sole"] = True
-    if origin is not None:
-        stored["origin"] = origin
+    stored |= {key: value for key, value in if_any.items() if value}
     write_json(folder / PARAMETERS, stored)
 
 

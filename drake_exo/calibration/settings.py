@@ -1,7 +1,7 @@
 """Settings of a study, as they stand in its file."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from math import log
 from pathlib import Path
 from typing import Literal
@@ -367,16 +367,12 @@ class FootGroundSettings:
 
     def contact(self, places: dict[str, tuple[float, float]]) -> ContactModel:
         """Contact with nominal values; arguments as above."""
-        spheres: dict[str, dict[str, float]] = {}
-        for p in self.parameters(places):
-            name, _, what = p.name.partition(".")
-            spheres.setdefault(name, {})[what] = p.nominal
+        spheres = {
+            name: ContactSphere(**values)
+            for name, values in _by_group(self.parameters(places)).items()
+        }
         return ContactModel(
-            GroundContact(
-                self.law,
-                {name: ContactSphere(**v) for name, v in spheres.items()},
-                self.law_constants(),
-            )
+            GroundContact(self.law, spheres, self.law_constants())
         )
 
 
@@ -391,11 +387,10 @@ def own_keys(settings) -> list[str]:
 
 def _given(settings, keys: Sequence[str]) -> list[str]:
     """Which of some keys, as far as there are, say what is not usual."""
-    usual = {f.name: f for f in fields(settings)}
+    # What is empty by default is no attribute of a dataclass.
+    usual = type(settings)
     return [
-        k
-        for k in keys
-        if k in usual and getattr(settings, k) != _default(usual[k])
+        k for k in keys if getattr(settings, k, {}) != getattr(usual, k, {})
     ]
 
 
@@ -409,8 +404,13 @@ def _check_once(settings, group: str) -> None:
             )
 
 
-def _default(f: Field):
-    return f.default if f.default is not MISSING else f.default_factory()
+def _by_group(parameters) -> dict[str, dict[str, float]]:
+    """Sphere or cuff -> its parameters' nominal values by name."""
+    found: dict[str, dict[str, float]] = {}
+    for p in parameters:
+        group, _, what = p.name.partition(".")
+        found.setdefault(group, {})[what] = p.nominal
+    return found
 
 
 def _placed(name, spread, model, prior_sd=None):
@@ -618,13 +618,9 @@ class InteractionSettings:
         self, places: dict[str, tuple[float, float]]
     ) -> dict[str, BushingParameters]:
         """Bushings with nominal values by cuff; arguments as above."""
-        found: dict[str, dict[str, float]] = {}
-        for p in self.parameters(places):
-            name, _, what = p.name.partition(".")
-            found.setdefault(name, {})[what] = p.nominal
         return {
             name: BushingParameters(**values, **self.of(name).damping)
-            for name, values in found.items()
+            for name, values in _by_group(self.parameters(places)).items()
         }
 
 

@@ -100,12 +100,6 @@ class Uncertainty:
         off = np.hypot(self.sd, self.law)
         return off < _IDENTIFIABLE * self.prior_sd
 
-    @property
-    def correlation(self) -> np.ndarray:
-        """(m, m)."""
-        sd = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
-        return self.covariance / np.outer(sd, sd)
-
 
 def uncertainty(
     result: PhaseResult,
@@ -481,21 +475,23 @@ def analyse(names: list[str], sensitivity: np.ndarray) -> Identifiability:
     )
 
 
-def radius_profile(result: PhaseResult, factors=(0.75, 1.0, 1.25)):
+_RADII = (0.75, 1.0, 1.25)  # times those of the settings
+
+
+def radius_profile(result: PhaseResult):
     """Phase A again with other radii: what moves is the spheres' centres.
 
     The prior follows the spheres' lowest points.
 
     Args:
         result: of Phase A.
-        factors: of all radii.
 
     Yields:
         For each factor a row: radius_factor, success, objective,
         vertical_force_rmsd_n, and radius and z of every sphere by name.
     """
     problem = result.problem
-    for factor in factors:
+    for factor in _RADII:
         rise = {
             p.name.removesuffix("radius"): (factor - 1.0) * p.nominal
             for p in problem.parameters
