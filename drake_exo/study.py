@@ -1136,13 +1136,11 @@ def _known(value: float) -> float | None:
 
 def audit_all(results: Sequence[PhaseResult]) -> list[Audit]:
     """Audit every trial of some results, with progress."""
-    from drake_exo.calibration.audit import audit
-
     todo = [(r, i) for r in results for i in range(len(r.trials))]
     progress = Progress("simulate", total=len(todo))
     rows = []
     for result, i in todo:
-        rows.append(audit(result, i))
+        rows.append(audit.audit(result, i))
         progress.update(rows[-1].trial, done=len(rows))
     return rows
 

@@ -276,8 +276,7 @@ def test_what_would_hang_loose_as_built_is_no_design(study, monkeypatch):
 
     def fewer(found, forecast, watch):
         forecast(found)
-        rival, why_not = design_cuffs._without(found, ("shank",), watch)
-        assert rival is not None, why_not
+        rival = design_cuffs._without(found, ("shank",), watch)
         with pytest.raises(InputError, match=r"loose: at exo_knee .* 5\.2 N m"):
             forecast(rival)
         seen.append(rival)
@@ -306,8 +305,7 @@ def test_a_design_without_a_cuff_is_told_and_written(
 
     def one_less(found, forecast, watch):
         every = Tried((), found.norm_n, forecast(found), found.design)
-        rival, why_not = design_cuffs._without(found, ("shank",), watch)
-        assert rival is not None, why_not
+        rival = design_cuffs._without(found, ("shank",), watch)
         norm = forecast(rival)
         less = Tried(("shank",), rival.norm_n, norm, rival.design)
         return rival, [every, less]

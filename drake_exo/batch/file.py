@@ -21,7 +21,7 @@ import re
 import types
 import typing
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
@@ -544,8 +544,7 @@ def _keyed(task: Task, digests: dict, keys: list[str]) -> Task:
         "code": code_digest(),
     }
     text = json.dumps(told, sort_keys=True, default=str)
-    key = hashlib.sha256(text.encode()).hexdigest()
-    return Task(**vars(task) | {"key": key})
+    return replace(task, key=hashlib.sha256(text.encode()).hexdigest())
 
 
 @cache

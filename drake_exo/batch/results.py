@@ -47,37 +47,26 @@ if TYPE_CHECKING:
 _AGAIN = "run the batch again"
 # Pages of a folder that replay it: what soles write, and `view --out`.
 _REPLAYS = ("animation.html", "replay.html")
-# Ends of keys that tell the unit of the numbers below them.
+# Unit -> ends of keys that tell it of the numbers below them; the first counts.
 _UNITS = {
-    "_samples": "",
-    "_nm_per_rad": "N m/rad",
-    "_n_per_m": "N/m",
-    "c_rot": "N m/rad",
-    "c_rot_initial": "N m/rad",
-    "c_rot_sole_alone": "N m/rad",
-    "c_tr": "N/m",
-    "c_tr_initial": "N/m",
-    "c_tr_sole_alone": "N/m",
-    "c_tr_finite": "N/m",
-    "c_tr_small": "N/m",
-    "parts": "N",
-    "step_length": "m",
-    "step_time": "s",
-    "double_support": "s",
-    "aim_x": "m",
-    "aim_y": "m",
-    "_cm3": "cm^3",
-    "_deg_s": "deg/s",
-    "_n_s": "N/s",
-    "_deg": "deg",
-    "_nm": "N m",
-    "_kpa": "kPa",
-    "_mm": "mm",
-    "_kg": "kg",
-    "_m": "m",
-    "_n": "N",
-    "_s": "s",
-    "_w": "W",
+    "": ("_samples",),
+    "N m/rad": ("_nm_per_rad", "c_rot", "c_rot_initial", "c_rot_sole_alone"),
+    "N/m": (
+        *("_n_per_m", "c_tr", "c_tr_initial", "c_tr_sole_alone"),
+        *("c_tr_finite", "c_tr_small"),
+    ),
+    "deg/s": ("_deg_s",),
+    "N/s": ("_n_s",),
+    "cm^3": ("_cm3",),
+    "deg": ("_deg",),
+    "N m": ("_nm",),
+    "kPa": ("_kpa",),
+    "mm": ("_mm",),
+    "kg": ("_kg",),
+    "m": ("_m", "step_length", "aim_x", "aim_y"),
+    "N": ("_n", "parts"),
+    "s": ("_s", "step_time", "double_support"),
+    "W": ("_w",),
 }
 # Parts of summary.json that are lists of one dictionary for each trial.
 _OF_TRIALS = ("rmsd", "rmsd_uncalibrated", "band_coverage", "audit", "solves")
@@ -242,8 +231,8 @@ def unit_of(signal: str) -> str:
     if parts[0] not in _BY_NAME:
         parts.reverse()
     for part in parts:
-        for end, unit in _UNITS.items():
-            if part.endswith(end):
+        for unit, ends in _UNITS.items():
+            if part.endswith(ends):
                 return unit
     return ""
 

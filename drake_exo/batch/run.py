@@ -417,13 +417,14 @@ def run_batch(
     batch = read_batch(path)
     try:
         tasks = tasks_of(batch, path.parent)
+        done = _done(tasks, out)
+        todo = [task for task in tasks if task.name not in done]
+        if todo:  # before hours of work
+            for key in dict.fromkeys(k for v in batch.variants() for k in v):
+                check_key(file_class(is_sole(key)), key)
+            _check_options(batch, function_of(parse))
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from error
-    done = _done(tasks, out)
-    todo = [task for task in tasks if task.name not in done]
-    if todo:
-        _check_sweep(batch, path)
-        _check_options(batch, path, function_of(parse))
     with _prepared(out, tasks):
         near = path.parent
         found = _run_all(out, tasks, done, todo, open_pool, parse, near)
@@ -468,17 +469,8 @@ def _done(tasks: list[Task], out: Path) -> dict[str, Outcome]:
     }
 
 
-def _check_sweep(batch: BatchFile, path: Path) -> None:
-    """Refuse keys that no file can have, before hours of work."""
-    for key in dict.fromkeys(k for v in batch.variants() for k in v):
-        try:
-            check_key(file_class(is_sole(key)), key)
-        except InputError as error:
-            raise InputError(f"{path.name}: {error}") from error
-
-
-def _check_options(batch: BatchFile, path: Path, parse: Callable) -> None:
-    """Refuse options that a command does not have, likewise."""
+def _check_options(batch: BatchFile, parse: Callable) -> None:
+    """Refuse options that a command does not have."""
     told = dict(batch.options)
     if batch.laboratories is not None:
         told[LAB] = batch.laboratories.options()
@@ -497,8 +489,7 @@ def _check_options(batch: BatchFile, path: Path, parse: Callable) -> None:
             text = said.getvalue().strip().splitlines()
             why = text[-1].rpartition("error: ")[2] if error.code else "help"
             raise InputError(
-                f"{path.name}: options of {step}: {why}; see "
-                f"'drake-exo {step} --help'"
+                f"options of {step}: {why}; see 'drake-exo {step} --help'"
             ) from error
 
 

@@ -736,8 +736,7 @@ class DesignProblem(Compiles):
         self.settings = settings = settings or DesignSettings()
         check_wearers(self.wearers, settings)
         self.without = tuple(without)
-        fewer = Design(dict.fromkeys(without, CuffDesign(removed=True)))
-        wearing = [less(w, fewer) for w in self.wearers]
+        wearing = [less(w, design_of({}, without)) for w in self.wearers]
         self.program = BatchedProgram()
         self.design = [
             _held(v, held) for v in design_variables(wearing, settings)

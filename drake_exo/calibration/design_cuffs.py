@@ -15,10 +15,11 @@ import numpy as np
 
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_result import DesignResult
+from drake_exo.calibration.design_variables import design_of
 from drake_exo.calibration.wearers import less
 from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.parameters import ContactModel
-from drake_exo.contact.strap import CuffDesign, Design
+from drake_exo.contact.strap import Design
 from drake_exo.errors import InputError
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
@@ -161,10 +162,7 @@ def fewer(
                 continue
             without = (*best[1].problem.without, cuff)
             try:
-                rival, why_not = _without(found, without, watch)
-                if rival is None:
-                    tried.append(Tried(without, why_not=why_not))
-                    continue
+                rival = _without(found, without, watch)
                 if rival.solution.was_stopped:
                     raise KeyboardInterrupt
                 norm = forecast(rival)
@@ -184,15 +182,20 @@ def fewer(
 
 def _without(
     found: DesignResult, without: tuple[str, ...], watch
-) -> tuple[DesignResult | None, str]:
-    """A design without some cuffs, or why there is none."""
+) -> DesignResult:
+    """A design without some cuffs.
+
+    Raises:
+        InputError: the device would hang loose, or there is none.
+    """
     problem = found.problem
-    try:
-        loose = looseness(problem, without)
-    except InputError as error:
-        loose = str(error)
-    if loose:
-        return None, loose
+    for wearer in problem.wearers:
+        held = less(wearer, design_of({}, without))
+        least = hold(held.model, held.contact, held.trials, held.springs)
+        if not least.stiffness > 0.0:
+            raise InputError(
+                f"the device would hang loose on {wearer.name}: {least}"
+            )
     rival = DesignProblem(
         problem.wearers,
         problem.settings,
@@ -200,25 +203,11 @@ def _without(
         support=problem.support,
         without=without,
     ).solve(on_iterate=watch(f"without {', '.join(without)}"))
-    if rival.solution.success or rival.solution.was_stopped:
-        return rival, ""
-    return None, f"{rival.solution.status}: {rival.solution.explain()}"
+    solution = rival.solution
+    if not (solution.success or solution.was_stopped):
+        raise InputError(f"{solution.status}: {solution.explain()}")
+    return rival
 
 
 def _told(found: DesignResult, forecast: float) -> Tried:
     return Tried(found.problem.without, found.norm_n, forecast, found.design)
-
-
-def looseness(problem: DesignProblem, without: tuple[str, ...]) -> str:
-    """Why a device would hang loose without some cuffs, in a sentence.
-
-    Raises:
-        InputError: nothing at all would hold one of its joints.
-    """
-    fewer = Design(dict.fromkeys(without, CuffDesign(removed=True)))
-    for wearer in problem.wearers:
-        held = less(wearer, fewer)
-        least = hold(held.model, held.contact, held.trials, held.springs)
-        if not least.stiffness > 0.0:
-            return f"the device would hang loose on {wearer.name}: {least}"
-    return ""

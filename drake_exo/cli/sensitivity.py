@@ -55,11 +55,7 @@ def run(args: argparse.Namespace) -> int:
         write_json(
             out / "sensitivity.json",
             {
-                "names": found.names,
-                "influence": found.influence,
-                "singular_values": found.singular_values,
-                "directions": found.directions,
-                "cosines": found.cosines,
+                **vars(found),
                 "advice": found.advice(),
                 "radius_profile": rows,
             },

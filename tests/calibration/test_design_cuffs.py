@@ -43,9 +43,9 @@ def norms(monkeypatch):
     def without(found, without, watch):
         norm = table.get(frozenset(without))
         if norm is None:
-            return None, "it hangs loose"
+            raise InputError("it hangs loose")
         stopped = norm == "stopped"
-        return design(without, 0.0 if stopped else norm, stopped=stopped), ""
+        return design(without, 0.0 if stopped else norm, stopped=stopped)
 
     monkeypatch.setattr(design_cuffs, "_without", without)
 
