@@ -18,7 +18,7 @@ import socket
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
@@ -422,6 +422,8 @@ def run_batch(
         if todo:  # before hours of work
             for key in dict.fromkeys(k for v in batch.variants() for k in v):
                 check_key(file_class(is_sole(key)), key)
+                if any(map(str.isdecimal, key.split("."))):
+                    _check_place(key, todo)
             _check_options(batch, function_of(parse))
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from error
@@ -467,6 +469,22 @@ def _done(tasks: list[Task], out: Path) -> dict[str, Outcome]:
         for task in tasks
         if rows[task.name] is not None and rows[task.name].key == task.key
     }
+
+
+def _check_place(key: str, tasks: Sequence[Task]) -> None:
+    """Refuse a place in a list that is in none of the files."""
+    wrong = {}
+    for task in tasks:
+        if key in task.changes and task.source not in (None, *wrong):
+            cls, change = file_class(is_sole(key)), {key: task.changes[key]}
+            try:
+                changed_text(task.source, cls, change, task.root)
+            except InputError as error:
+                wrong[task.source] = error
+            else:
+                return
+    if wrong:
+        raise next(iter(wrong.values()))
 
 
 def _check_options(batch: BatchFile, parse: Callable) -> None:

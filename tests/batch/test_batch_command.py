@@ -188,6 +188,25 @@ def test_a_bad_batch_file_ends_with_two(tmp_path, capsys):
     assert main(["batch", str(path), "--out", str(out)]) == 2
     assert "did you mean 'filter'" in capsys.readouterr().err
     assert not out.exists()
+    # A place that no file has, too; what one of two has is that file's affair.
+    study = Path(__file__).parents[1] / "studies" / "opencap_sts1.yaml"
+    for name in ("a", "b"):
+        shutil.copy(study, tmp_path / f"{name}.yaml")
+    write(
+        path,
+        "steps: [check]\nstudies: [a.yaml, b.yaml]\n"
+        "sweep: {trials.3.use: [prediction]}",
+    )
+    assert main(["batch", str(path), "--out", str(out)]) == 2
+    assert "a.yaml: has no key 'trials.3.use' to sweep: '3' is unknown" in (
+        capsys.readouterr().err
+    )
+    assert not out.exists()
+    text = study.read_text("utf-8")
+    more = "  - {name: a, markers: a.trc, forces: a.mot, plates: {both: 1}}\n"
+    write(tmp_path / "b.yaml", text.replace("trials:\n", f"trials:\n{more}"))
+    assert main(["batch", str(path), "--out", str(out), "--workers", "1"]) == 3
+    assert "a/trials.3.use=prediction/check: failed" in capsys.readouterr().out
     (tmp_path / "other").mkdir()
     write(tmp_path / "other" / "mine.txt", "")
     write(path, "steps: [check]\nlaboratories: {seeds: [1]}")
