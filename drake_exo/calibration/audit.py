@@ -13,10 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from drake_exo.calibration.problem import PhaseResult, has_encoders
 from drake_exo.collocation.bushing_kernels import UNITS
-from drake_exo.collocation.kernels import (
-    FORCE_UNIT,
-    WRENCH_UNITS,
-)
+from drake_exo.collocation.kernels import FORCE_UNIT, WRENCH_UNITS
 from drake_exo.collocation.transcription import stands_for
 from drake_exo.contact.bushing import CALIBRATED, ROTATION
 from drake_exo.contact.diagram import build_diagram, integrate

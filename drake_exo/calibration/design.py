@@ -44,12 +44,7 @@ from drake_exo.calibration.settings import (
     PredictionEnds,
     PredictionSettings,
 )
-from drake_exo.calibration.wearers import (
-    Wearer,
-    assisted,
-    check_wearers,
-    less,
-)
+from drake_exo.calibration.wearers import Wearer, assisted, check_wearers, less
 from drake_exo.collocation.bushing_kernels import (
     INTERACTION_FORCE_UNIT,
     AssistanceKernel,

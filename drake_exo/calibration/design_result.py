@@ -10,17 +10,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from drake_exo.calibration.design_variables import design_of
-from drake_exo.calibration.problem import (
-    PhaseProblem,
-)
-from drake_exo.calibration.settings import (
-    DesignSettings,
-)
+from drake_exo.calibration.problem import PhaseProblem
+from drake_exo.calibration.settings import DesignSettings
 from drake_exo.contact.parameters import ContactModel
-from drake_exo.contact.strap import (
-    CuffDesign,
-    Design,
-)
+from drake_exo.contact.strap import CuffDesign, Design
 from drake_exo.measurement.trial import Trial
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.nlp.sensitivity import Optimum

@@ -7,13 +7,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from drake_exo.calibration.settings import (
-    DesignSettings,
-    JointFreedom,
-)
-from drake_exo.calibration.wearers import (
-    Wearer,
-)
+from drake_exo.calibration.settings import DesignSettings, JointFreedom
+from drake_exo.calibration.wearers import Wearer
 from drake_exo.contact.strap import (
     MOVABLE,
     RELEASES,

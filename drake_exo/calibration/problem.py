@@ -12,10 +12,7 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 from drake_exo.calibration.error_model import Effects, ErrorModel, ErrorSizes
 from drake_exo.calibration.settings import EndTolerance, TrackingNoise
 from drake_exo.calibration.start import settled
-from drake_exo.collocation.bushing_kernels import (
-    BushingKernel,
-    EnergyKernel,
-)
+from drake_exo.collocation.bushing_kernels import BushingKernel, EnergyKernel
 from drake_exo.collocation.kernels import (
     AppliedWrench,
     BodyWrench,

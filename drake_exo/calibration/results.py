@@ -13,11 +13,7 @@ from drake_exo.calibration.audit import rmsd, spread
 from drake_exo.calibration.problem import PhaseResult
 from drake_exo.calibration.settings import FootGroundSettings
 from drake_exo.calibration.uncertainty import Bands
-from drake_exo.contact.bushing import (
-    CALIBRATED,
-    COMPONENTS,
-    BushingParameters,
-)
+from drake_exo.contact.bushing import CALIBRATED, COMPONENTS, BushingParameters
 from drake_exo.contact.parameters import (
     SPHERE_PARAMETERS,
     TYPICAL_JERK,

@@ -15,11 +15,7 @@ from drake_exo.contact.bushing import (
     TANGENTIAL,
     BushingParameters,
 )
-from drake_exo.contact.hunt_crossley import (
-    LAWS,
-    Constants,
-    paper_stiffness,
-)
+from drake_exo.contact.hunt_crossley import LAWS, Constants, paper_stiffness
 from drake_exo.contact.parameters import (
     STIFFNESS_UNIT,
     ContactModel,

@@ -5,10 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_exo.collocation.initial_guess import settle_foot, settle_rolling
-from drake_exo.collocation.kernels import (
-    FORCE_UNIT,
-    PoseKernel,
-)
+from drake_exo.collocation.kernels import FORCE_UNIT, PoseKernel
 from drake_exo.measurement.trial import Trial
 
 # How far coordinates give way to feet: lengths [m], angles [rad]; feet do not.
