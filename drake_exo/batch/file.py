@@ -288,10 +288,7 @@ def _value(value: Any) -> str:
 
 
 def changed_text(
-    path: Path,
-    cls: type,
-    changes: Mapping[str, Any],
-    root: Path | None = None,
+    path: Path, cls: type, changes: Mapping[str, Any], root: Path | None = None
 ) -> str:
     """Text of a study or case with all its keys, some of them changed.
 

@@ -263,10 +263,7 @@ class _Wearing(PhaseProblem):
             drive = today[:, i] - stays
             parts, more = (
                 known.parts(
-                    torque,
-                    angles[:, i],
-                    rates[:, i],
-                    at.times / at.duration,
+                    torque, angles[:, i], rates[:, i], at.times / at.duration
                 )[:, : len(own)]
                 for torque in (drive, drive + 1.0)
             )
@@ -828,10 +825,7 @@ class DesignProblem(Compiles):
             trials = [
                 replace(part.read(m, t, x), name=own.name)
                 for m, t, own in zip(
-                    part.movements,
-                    part.trials,
-                    part.wearer.trials,
-                    strict=True,
+                    part.movements, part.trials, part.wearer.trials, strict=True
                 )
             ]
             contact = design.contact(part.wearer.contact)

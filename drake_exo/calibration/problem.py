@@ -636,9 +636,7 @@ class PhaseProblem(Compiles, ABC):
         prepared = time.perf_counter() - start
         if solver.solver == "drake":
             solution = ipopt.solve_with_drake(
-                self.program,
-                problem.expand(problem.restrict(guess)),
-                options,
+                self.program, problem.expand(problem.restrict(guess)), options
             )
         else:
             solution = ipopt.solve(problem, guess, options, on_iterate)
@@ -1130,10 +1128,7 @@ def torque_terms(
 
 
 def normal_force_terms(
-    movement: TrialProgram,
-    at: Trial,
-    noise,
-    effects: Effects | None = None,
+    movement: TrialProgram, at: Trial, noise, effects: Effects | None = None
 ) -> list[Tracking]:
     """Normal forces tracked where a mat measured them."""
     return [

@@ -102,9 +102,7 @@ class Uncertainty:
 
 
 def uncertainty(
-    result: PhaseResult,
-    cutoff_hz: float = 6.0,
-    order: int = 4,
+    result: PhaseResult, cutoff_hz: float = 6.0, order: int = 4
 ) -> Uncertainty | None:
     """Covariance of the free parameters of a calibration.
 
@@ -518,8 +516,7 @@ def radius_profile(result: PhaseResult):
         success, found = found.success, found.unsealed()
         errors = [
             rms(
-                t.ground.force_z - trial.sample(t.times).ground.force_z,
-                t.times,
+                t.ground.force_z - trial.sample(t.times).ground.force_z, t.times
             )
             for t, trial in zip(found.trials, problem.trials, strict=True)
         ]

@@ -678,9 +678,7 @@ class Size:
 
 
 def sized(
-    wearer: Wearer,
-    population: Population,
-    settings: PredictionSettings,
+    wearer: Wearer, population: Population, settings: PredictionSettings
 ) -> list[Wearer]:
     """Wearers with bodies of a population, who move as one that is known.
 

@@ -204,11 +204,7 @@ def _write_front(made: Designed, out: Path) -> bool:
         format_table(
             ["work of the device, share", "work [J]", "norm of forces [N]"],
             [
-                [
-                    f"{r['share']:g}{_told(r)}",
-                    r["work_j"],
-                    r["norm_n"],
-                ]
+                [f"{r['share']:g}{_told(r)}", r["work_j"], r["norm_n"]]
                 for r in rows
             ],
         )

@@ -54,11 +54,7 @@ def run(args: argparse.Namespace) -> int:
         _print(found, rows)
         write_json(
             out / "sensitivity.json",
-            {
-                **vars(found),
-                "advice": found.advice(),
-                "radius_profile": rows,
-            },
+            {**vars(found), "advice": found.advice(), "radius_profile": rows},
         )
     print(verdict.text())
     print(f"results in {args.out}")
