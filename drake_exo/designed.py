@@ -527,33 +527,16 @@ class Designed:
                 )
         for wearer in self.after:  # whose own limits these are
             others = f", {wearer}" if len(self.after) > 1 else ""
-            for row in self.felt([wearer]):
-                for key, unit, name, limit in self._other_limits(row):
-                    if row["after"][key] <= _BEYOND * limit:
-                        continue
+            for of, value, unit, name, limit in self._limited(wearer):
+                if limit is not None and value > _BEYOND * limit:
                     yield note(
                         "design.limits",
-                        value=row["after"][key],
+                        value=value,
                         limit=limit,
                         unit=unit,
-                        where=row["cuff"] + others,
+                        where=of + others,
                         sentence=_BEYOND_LIMIT + name,
                     )
-            for row in self.drives([wearer]):
-                joint = row["joint"]
-                limits = self.settings.limits.drives.get(joint, DriveLimits())
-                for key, unit in _DRIVES.items():
-                    limit = getattr(limits, key)
-                    value = row["after"][key]
-                    if limit is not None and value > _BEYOND * limit:
-                        yield note(
-                            "design.limits",
-                            value=value,
-                            limit=limit,
-                            unit=unit,
-                            where=joint + others,
-                            sentence=f"{_BEYOND_LIMIT}drives.{joint}.{key}",
-                        )
         rows = self.variables()
         gains = self.settings.assistance_over == "gains"
         if gains and not any(is_assistance(row["name"]) for row in rows):
@@ -574,20 +557,25 @@ class Designed:
             said = "deflects further than in any trial of today"
             yield note("design.extrapolation", where=cuff, sentence=said)
 
-    def _other_limits(self, row: dict) -> Iterator[tuple]:
-        """Of a row of `felt`: its key, unit, the limit's name and value."""
-        limits, before = self.settings.limits, row["before"]
-        for key, unit in (
-            ("pressure_kpa", "kPa"),
-            ("mean_n", "N"),
-            ("rate_n_s", "N/s"),
-        ):
-            if getattr(limits, key) is not None:
-                yield key, unit, key, getattr(limits, key)
+    def _limited(self, wearer: str) -> Iterator[tuple]:
+        """Cuff or joint, value, unit, name and value of the limit, if any."""
+        limits = self.settings.limits
         units = {"shear_n": "N", "peak_n": "N", "moment_nm": "N m"}
         keys = list(units)  # as components are counted
-        for k, name, most in limits.of_forces([before[key] for key in keys]):
-            yield keys[k], units[keys[k]], name, most
+        others = {"pressure_kpa": "kPa", "mean_n": "N", "rate_n_s": "N/s"}
+        for row in self.felt([wearer]):
+            cuff, after = row["cuff"], row["after"]
+            for key, unit in others.items():
+                yield cuff, after[key], unit, key, getattr(limits, key)
+            today = [row["before"][key] for key in keys]
+            for k, name, most in limits.of_forces(today):
+                yield cuff, after[keys[k]], units[keys[k]], name, most
+        for row in self.drives([wearer]):
+            joint, after = row["joint"], row["after"]
+            own = limits.drives.get(joint, DriveLimits())
+            for key, unit in _DRIVES.items():
+                name = f"drives.{joint}.{key}"
+                yield joint, after[key], unit, name, getattr(own, key)
 
     def softened(self) -> list[str]:
         """Cuffs that deflect further than in any trial of today."""
@@ -704,7 +692,7 @@ class Designed:
             parts.append(
                 format_table(
                     ["what may change", "norm of forces [N]"],
-                    [[k, v] for k, v in self.parts.items()],
+                    list(self.parts.items()),
                 )
             )
         if self.tried:

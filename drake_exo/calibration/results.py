@@ -449,32 +449,28 @@ def write_trial(folder: Path, trial: Trial, mark: str = "") -> None:
         mark: `Verdict.mark`, in the first line of each table.
     """
     names = trial.coordinates
+
+    def write(kind, columns, values, title, in_degrees=False):
+        path = folder / f"{trial.name}_{kind}.sto"
+        table = Table(trial.times, tuple(columns), values, in_degrees)
+        write_table(path, table, title, mark)
+
     for kind, values in (("coordinates", trial.q), ("speeds", trial.v)):
         degrees = np.where(names.is_angle, np.rad2deg(values), values)
-        table = Table(trial.times, names.names, degrees, in_degrees=True)
-        path = folder / f"{trial.name}_{kind}.sto"
-        write_table(path, table, kind.capitalize(), mark)
+        write(kind, names.names, degrees, kind.capitalize(), True)
     columns, force = external_loads(
         {
             "" if side == "both" else f"_{side}": ground
             for side, ground in trial.soles.items()
         }
     )
+    write("ground_reaction", columns, force, "Ground reaction")
     moments = [f"{n}_moment" for n in names.joints]
-    tables = {
-        "ground_reaction": (columns, force, "Ground reaction"),
-        "torques": (moments, trial.moments, "Joint moments"),
-    }
+    write("torques", moments, trial.moments, "Joint moments")
     if trial.cuffs:
-        tables["interaction"] = (
-            [f"{cuff}_{c}" for cuff in trial.cuffs for c in COMPONENTS],
-            np.hstack([force.components for force in trial.cuffs.values()]),
-            "Interaction on the human",
-        )
-    for kind, (columns, values, title) in tables.items():
-        table = Table(trial.times, tuple(columns), values, in_degrees=False)
-        path = folder / f"{trial.name}_{kind}.sto"
-        write_table(path, table, title, mark)
+        columns = [f"{cuff}_{c}" for cuff in trial.cuffs for c in COMPONENTS]
+        force = np.hstack([f.components for f in trial.cuffs.values()])
+        write("interaction", columns, force, "Interaction on the human")
     trial.save(folder / f"solution_{trial.name}")
 
 

@@ -112,7 +112,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Predict every trial, audit, and write everything to --out."""
-    changes = _changes(args)
+    changes = {
+        "objective": args.objective,
+        "torque_limit_nm": args.torque_limit,
+    }
+    changes = {k: v for k, v in changes.items() if v is not None}
     controller = load_controller(args.controller)
     study = read_study(args.study, args.data_root)
     study.prediction = replace(study.prediction, **changes)
@@ -272,15 +276,6 @@ def write_predictions(
         print(f"results in {out}")
         raise refused
     return STOPPED_CODE if stopped else verdict.exit_code
-
-
-def _changes(args: argparse.Namespace) -> dict:
-    """What options put in the place of the study's settings."""
-    changes = {
-        "objective": args.objective,
-        "torque_limit_nm": args.torque_limit,
-    }
-    return {k: v for k, v in changes.items() if v is not None}
 
 
 def load_controller(name: str | None) -> System | None:
