@@ -638,7 +638,7 @@ class Calibration(_Solved):
 
     @cached_property
     def _audits(self) -> tuple[Audit, ...]:
-        return tuple(audit_all([self.result])) if self.success else ()
+        return tuple(audit_all(self.result)) if self.success else ()
 
     def verdict(
         self, checks: Sequence[Check] = (), accepted: Sequence[str] = ()
@@ -789,7 +789,7 @@ class Prediction(_Solved, Trial):
 
     def audit(self) -> Audit:
         """Whether it holds between its nodes, and simulates."""
-        return audit_all([self.result])[0]
+        return audit_all(self.result)[0]
 
     def bands(self) -> Bands | None:
         """Bands of 95 %; None where no calibration says how sure it is."""
@@ -1134,14 +1134,13 @@ def _known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def audit_all(results: Sequence[PhaseResult]) -> list[Audit]:
-    """Audit every trial of some results, with progress."""
-    todo = [(r, i) for r in results for i in range(len(r.trials))]
-    progress = Progress("simulate", total=len(todo))
+def audit_all(result: PhaseResult) -> list[Audit]:
+    """Audit every trial of a result, with progress."""
+    progress = Progress("simulate", total=len(result.trials))
     rows = []
-    for result, i in todo:
+    for i, trial in enumerate(result.trials):
         rows.append(audit.audit(result, i))
-        progress.update(rows[-1].trial, done=len(rows))
+        progress.update(trial.name, done=len(rows))
     return rows
 
 

@@ -95,8 +95,8 @@ class PhaseResult:
     @cached_property
     def contact(self) -> ContactModel:
         """The contact with those values."""
-        values = np.array([p.nominal for p in self.parameters])
-        return self.problem.with_values(values)
+        found = {p.name: p.nominal for p in self.parameters}
+        return self.problem.contact.with_values(found)
 
     @cached_property
     def trials(self) -> list[Trial]:
@@ -470,11 +470,6 @@ class PhaseProblem(Compiles, ABC):
                 np.sqrt(grid.quadrature[used])[:, None],
             )
 
-    def with_values(self, values: np.ndarray) -> ContactModel:
-        """The contact with values of `parameters`, in their order."""
-        names = [p.name for p in self.parameters]
-        return self.contact.with_values(dict(zip(names, values, strict=True)))
-
     def guess(self, values: np.ndarray | None = None) -> np.ndarray:
         """Program variables near the data, with the foot settled.
 
@@ -482,8 +477,11 @@ class PhaseProblem(Compiles, ABC):
             values: of `parameters`; nominal ones by default.
         """
         if values is None:
-            values = np.array([p.nominal for p in self.parameters])
-        contact = self.with_values(values)
+            values = [p.nominal for p in self.parameters]
+        names = [p.name for p in self.parameters]
+        contact = self.contact.with_values(
+            dict(zip(names, values, strict=True))
+        )
         x = self.program.start()
         for group, variables in self._variables.items():
             x[self.program.indices(variables)] = [

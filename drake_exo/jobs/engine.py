@@ -194,29 +194,22 @@ def _begin(waiting, ended, pool, end) -> list[Job]:
     """Start what can start; the jobs that still wait."""
     left, room = [], pool.room()
     for job in waiting:
-        lacking = [n for n in job.needs if n in ended and _failed(ended[n])]
+        lacking = [
+            n for n in job.needs if n in ended and ended[n].state != "done"
+        ]
         if lacking:
             reason = f"not begun: {lacking[0]} was not done"
             cause = ended[lacking[0]].cause or ended[lacking[0]].error
             end(Ended(job.name, "skipped", error=reason, cause=cause))
         elif room > 0 and all(n in ended for n in job.needs):
-            pool.start(_given(job, ended))
+            if job.given is not None:
+                values = {name: ended[name].value for name in job.needs}
+                job = job.told(**{job.given: values})
+            pool.start(job)
             room -= 1
         else:
             left.append(job)
     return left
-
-
-def _given(job: Job, ended: Mapping[str, Ended]) -> Job:
-    """The job with what those that it needs have returned."""
-    if job.given is None:
-        return job
-    values = {name: ended[name].value for name in job.needs}
-    return job.told(**{job.given: values})
-
-
-def _failed(row: Ended) -> bool:
-    return row.state != "done"
 
 
 def _chains(jobs: Sequence[Job]) -> dict[str, int]:
@@ -277,7 +270,7 @@ class BatchProgress:
             return False
         self._last = now
         running = pool.running()
-        failed = sum(_failed(row) for row in ended.values())
+        failed = sum(row.state != "done" for row in ended.values())
         parts = [f"{len(ended)}/{len(jobs)} done"]
         if failed:
             parts.append(f"{failed} failed")
