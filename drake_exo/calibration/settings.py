@@ -43,6 +43,7 @@ __all__ = [
     "DesignLimits",
     "DesignSettings",
     "Device",
+    "DriveLimits",
     "EndTolerance",
     "ErrorSizes",
     "Filter",
