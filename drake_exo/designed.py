@@ -38,6 +38,7 @@ from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import (
     STIFF,
     TODAY,
+    CuffDesign,
     Design,
     device_sdf,
     write_design,
@@ -181,25 +182,20 @@ class Designed:
 
     def _peak(self, cuff: str) -> Peak:
         wearers = {w.name: w for w in self.found.problem.wearers}
-        ratio = np.array(
+        rows = [
+            (wearers[name].shown(cuff), before, after)
+            for name, moved in self.before.items()
+            for before, after in zip(moved, self.after[name], strict=True)
+        ]
+        seen = [row for row in rows if cuff in row[1].measured.cuffs]
+        ratio, was, now = np.transpose(
             [
-                wearers[name].shown(cuff)
-                for name, moved in self.before.items()
-                for _ in moved
+                (r, *(largest_force(m.trial, cuff) for m in moved))
+                for r, *moved in seen or rows
             ]
         )
-        before = [m for moved in self.before.values() for m in moved]
-        after = [m for moved in self.after.values() for m in moved]
-        seen = [k for k, m in enumerate(before) if cuff in m.measured.cuffs]
-        chosen = seen or list(range(len(before)))
-        ratio = ratio[chosen]
-        was, now = (
-            np.array([largest_force(moved[k].trial, cuff) for k in chosen])
-            for moved in (before, after)
-        )
         halves = [
-            _half_widths(after[k], cuff, r)[NORMAL]
-            for k, r in zip(chosen, ratio, strict=True)
+            _half_widths(after, cuff, r)[NORMAL] for r, _, after in seen or rows
         ]
         built = [
             t for ts in self.measured.values() for t in ts if cuff in t.cuffs
@@ -207,7 +203,7 @@ class Designed:
         forecast = float(np.mean(ratio * now))
         width = float(np.mean(halves))
         return Peak(
-            _mean([largest_force(before[k].measured, cuff) for k in seen]),
+            _mean([largest_force(m.measured, cuff) for _, m, _ in seen]),
             float(np.mean(ratio * was)),
             float(np.mean(was)),
             float(np.mean(now)),
@@ -300,17 +296,16 @@ class Designed:
         who = {w.name: w for w in self.found.problem.wearers}
         for cuff in self.peaks:
             row: dict = {"cuff": cuff, "half_width_95": None}
-            for what, all_moved in (
-                ("before", self.before),
-                ("after", self.after),
+            for what, design, all_moved in (
+                ("before", Design(), self.before),
+                ("after", self.design, self.after),
             ):
                 moved = {n: all_moved[n] for n in wearers or all_moved}
-                if what == "after" and cuff in self.design.removed:
+                if cuff in design.removed:
                     row[what] = dict.fromkeys(row["before"], 0.0)
                     continue
                 area = self.settings.freedom(cuff).area_m2
-                if what == "after":
-                    area *= self.design.cuffs[cuff].area
+                area *= design.cuffs.get(cuff, CuffDesign()).area
                 peaks, rates, means, halves = [], [], [], []
                 for name, own in moved.items():
                     shown = np.ones(3)
@@ -323,7 +318,7 @@ class Designed:
                         halves.append(_half_widths(m, cuff, factor))
                 deflection = self._deflection(
                     cuff,
-                    Design() if what == "before" else self.design,
+                    design,
                     {n: [m.trial for m in own] for n, own in moved.items()},
                 )
                 peak = np.max(peaks, axis=0)

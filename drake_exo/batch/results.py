@@ -178,10 +178,9 @@ def _summary(summary: dict[str, Any]) -> Iterator[tuple]:
     for v in summary.get("variables") or []:  # of a design
         yield "", f"variables.{v['name']}", v["value"], v["unit"]
         yield "", f"variables.{v['name']}.today", v["today"], v["unit"]
-    for felt in summary.get("felt") or []:
-        yield from _leaves("", felt, f"felt.{felt['cuff']}")
-    for drive in summary.get("drives") or []:
-        yield from _leaves("", drive, f"drives.{drive['joint']}")
+    for part, of in (("felt", "cuff"), ("drives", "joint")):
+        for row in summary.get(part) or []:
+            yield from _leaves("", row, f"{part}.{row[of]}")
     if isinstance(first := summary.get("foot_ground"), dict):
         for trial, name, *told in _summary(first):
             yield trial, f"foot_ground.{name}", *told
