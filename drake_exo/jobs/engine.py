@@ -82,7 +82,6 @@ class Ended:
         trace: of the exception, where it was not bad input.
         raised: the exception, where it was the system's (a full disk).
         seconds: of the last attempt.
-        host: where that was.
         attempts: how often it was begun.
         cause: error of the job for which it was skipped.
     """
@@ -94,7 +93,6 @@ class Ended:
     trace: str = ""
     raised: OSError | None = None
     seconds: float = 0.0
-    host: str = ""
     attempts: int = 0
     cause: str = ""
 

@@ -9,7 +9,6 @@ import importlib
 import os
 import pickle
 import queue
-import socket
 import sys
 import threading
 import time
@@ -34,9 +33,9 @@ def function_of(name: str) -> Callable:
 
 
 def call(function: str, arguments: dict) -> dict:
-    """Answer of a job: state, value or error and trace, seconds, host."""
+    """Answer of a job: state, value or error and trace, seconds."""
     start = time.perf_counter()
-    answer = {"state": "failed", "host": socket.gethostname()}
+    answer = {"state": "failed"}
     try:
         value = function_of(function)(**arguments)
         answer |= {"state": "done", "value": value}
