@@ -384,8 +384,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("np.abs(shown - predicted) <= width", "shown - predicted <= width"),
         ("at, names = measured.sample(found.times)", "at, names = measured"),
         (
-            "at.v[:, k], v[:, k], self.seen_v[:, k]",
-            "at.v[:, k], v[:, k], self.seen_q[:, k]",
+            "at.v, found.v + self.off_v, self.seen_v",
+            "at.v, found.v + self.off_v, self.seen_q",
         ),
         ("                problem.settings.noise.normal_force_n,\n", ""),
         (

@@ -594,21 +594,19 @@ class Bands:
         def share(shown, predicted, width) -> float:
             return mean(np.abs(shown - predicted) <= width)
 
-        q, v = found.q + self.off_q, found.v + self.off_v
-
         told = np.isfinite(self.seen_q).all(axis=0)
         joints = [(n, k) for n in names.joints if told[k := names.index(n)]]
+
+        def of_joints(*arrays) -> dict[str, float]:
+            return {n: share(*(x[:, k] for x in arrays)) for n, k in joints}
+
         cuffs = [c for c in self.mats if c in at.cuffs]
         return {
             "trial": found.name,
-            "angles_deg": {
-                n: share(at.q[:, k], q[:, k], self.seen_q[:, k])
-                for n, k in joints
-            },
-            "velocities_deg_s": {
-                n: share(at.v[:, k], v[:, k], self.seen_v[:, k])
-                for n, k in joints
-            },
+            "angles_deg": of_joints(at.q, found.q + self.off_q, self.seen_q),
+            "velocities_deg_s": of_joints(
+                at.v, found.v + self.off_v, self.seen_v
+            ),
             "interaction_n": {
                 c: share(
                     at.cuffs[c].normal,

@@ -464,7 +464,9 @@ class Worker:
     def _died(self, job: Job) -> Ended | None:
         self._close_pipes()
         code = self._process.wait()
-        said = self._last_words()
+        self._said.seek(0, 2)
+        self._said.seek(max(self._said.tell() - 4000, 0))
+        said = self._said.read().decode("utf-8", "replace")
         self._said.close()
         self._process = None
         seconds = time.monotonic() - self.since
@@ -490,11 +492,6 @@ class Worker:
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.close()
         self._process.stdout.close()
-
-    def _last_words(self) -> str:
-        self._said.seek(0, 2)
-        self._said.seek(max(self._said.tell() - 4000, 0))
-        return self._said.read().decode("utf-8", "replace")
 
     def _too_large(self, job: Job) -> str:
         if self.memory_mb is None:
