@@ -851,16 +851,10 @@ class Population:
     height_m: tuple[float, float] = quantity("m", above=0.0)
     mass_kg: tuple[float, float] = quantity("kg", above=0.0)
     percentiles: tuple[float, ...] = quantity(
-        None, (5.0, 50.0, 95.0), above=0.0
+        None, (5.0, 50.0, 95.0), above=0.0, below=100.0
     )
 
     def __post_init__(self):
-        for percentile in self.percentiles:
-            if not percentile < 100.0:
-                raise InputError(
-                    f"percentile {percentile:g} is none; give one between 0 "
-                    "and 100"
-                )
         if len(set(self.percentiles)) < len(self.percentiles):
             raise InputError("a percentile is there twice; give each once")
 

@@ -5,7 +5,6 @@ foot_ground) and then the interaction of human and exoskeleton (Phase B).
 """
 
 import argparse
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -177,8 +176,8 @@ def write_interaction(
         code = write_foot_ground(study, folder, resume, False, checks, accepted)
         if code not in (0, FAILS_CODE):
             return code
-        text = (folder / SUMMARY).read_text("utf-8")
-        more["foot_ground"] = json.loads(text)
+        again = "run the command again"
+        more["foot_ground"] = read_json(folder / SUMMARY, again)
         contact = read_calibration(folder).contact
         # What the first phase does not hold, the second one does not.
         found = stored(more["foot_ground"]).checks

@@ -33,6 +33,7 @@ from drake_exo.contact.parameters import (
 )
 from drake_exo.contact.strap import Assistance, Design, Gains
 from drake_exo.errors import InputError
+from drake_exo.files import schema
 from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.model.assembly import Assembly, CuffLinks, DeviceFile
 from drake_exo.model.description import (
@@ -324,9 +325,13 @@ def test_bodies_are_at_their_percentiles():
     ):
         expected = [1.70 + 0.10 * score, 70.0 + 10.0 * score]
         assert sizes == pytest.approx(expected, rel=1e-6), name
-    with pytest.raises(InputError, match="percentile 100 is none"):
-        Population((1.70, 0.10), (70.0, 10.0), (100.0,))
-    Population((1.70, 0.10), (70.0, 10.0), (99.0,))
+    for most in (99.0, 100.0):
+        people = Population((1.70, 0.10), (70.0, 10.0), (most,))
+        if most < 100.0:
+            schema.check(people, Population, "population")
+            continue
+        with pytest.raises(InputError, match="must be below 100"):
+            schema.check(people, Population, "population")
 
 
 def test_what_mats_show_is_one_where_nothing_measured_it():
