@@ -552,7 +552,6 @@ class Calibration(_Solved):
         This and what follows raises SealedSolutionError after a failed solve,
         until `solution.unseal()`.
         """
-        self.solution.check()
         own = self.result.contact.with_values({})  # who changes it may
         if self.posterior is None:
             return own
@@ -591,13 +590,11 @@ class Calibration(_Solved):
     @property
     def trials(self) -> list[Trial]:
         """The solution of each trial."""
-        self.solution.check()
         return list(self.result.trials)
 
     @property
     def parameters(self) -> list[ContactParameter]:
         """All of them, their values as nominal."""
-        self.solution.check()
         return list(self.result.parameters)
 
     def parameter(self, name: str) -> ContactParameter:

@@ -47,6 +47,12 @@ def test_a_failed_solve_says_no_number(failed, name):
         getattr(failed.result, name)
 
 
+@pytest.mark.parametrize("name", ["contact", "trials", "parameters"])
+def test_a_failed_calibration_says_none_either(failed, name):
+    with pytest.raises(SealedSolutionError):
+        getattr(failed, name)
+
+
 def test_a_failed_solve_is_written_marked(failed, tmp_path):
     with undrawn():
         summary = failed.write(tmp_path)
