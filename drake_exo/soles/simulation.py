@@ -82,7 +82,7 @@ def sample_weights(
     return np.concatenate(early) * share, share
 
 
-_MAX_TILT = np.deg2rad(80.0)  # beyond, a foot has tipped over
+_MAX_TILT = np.deg2rad(80.0)  # from the ground's normal: more has tipped over
 _SMOOTHING_LAYER, _SMOOTHING_KAPPA = 1e-4, 0.2
 _MAX_CANDIDATES = 12
 _LEAST_STEP = 1.0 / 256.0  # of the way to a load
@@ -193,6 +193,7 @@ def _follow_design(solver, target, near, press):
 def _cold_start(solver, target, press, patience):
     report = Convergence(False, 0, np.inf, "no hull facet to stand on")
     candidates = candidate_poses(solver.lP, target, solver.ground)
+    up = solver.ground.normal(target.places_before(np.eye(3), solver.lP))
     total, tried, smoother = 0, 0, _smoother(solver.law)
     # Where the law itself is as smooth, they would fail alike.
     ways = [[solver.law]] + [smoother] * (smoother[0] != solver.law)
@@ -204,7 +205,7 @@ def _cold_start(solver, target, press, patience):
             state, report = _lead(solver, target, guess, press, laws)
             total += report.iterations
             report.iterations = total
-            if report.converged and state.R[2, 2] > np.cos(_MAX_TILT):
+            if report.converged and state.R[:, 2] @ up > np.cos(_MAX_TILT):
                 return state, report
     report.converged = False
     report.message = (

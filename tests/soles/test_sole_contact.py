@@ -12,8 +12,14 @@ from drake_exo.soles import simulation
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.contact import newton as contact
 from drake_exo.soles.contact.gauss_seidel import GaussSeidelSolver
-from drake_exo.soles.contact.law import ContactLaw
-from drake_exo.soles.contact.newton import ContactSolver, Start, State, Target
+from drake_exo.soles.contact.law import ContactLaw, Ground
+from drake_exo.soles.contact.newton import (
+    ContactSolver,
+    Convergence,
+    Start,
+    State,
+    Target,
+)
 from drake_exo.soles.elasticity import MATERIALS, Material, Sole
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import exp_rotation, tilt_deg
@@ -425,6 +431,26 @@ def test_a_foot_that_has_tipped_over_does_not_stand(sole, monkeypatch):
     state, again = first_step(solver, target, 300.0)
     assert state is None
     assert not again.converged
+
+
+@pytest.mark.parametrize(("from_ground", "holds"), [(60, True), (-83, False)])
+def test_a_foot_tips_over_from_the_ground_not_from_the_vertical(
+    from_ground, holds, sole, monkeypatch
+):
+    """Down a slope of 42° it is steeper, up it less steep than it looks."""
+    x = np.linspace(-0.6, 0.6, 13)
+    slope = Ground(x, x, 0.9 * np.repeat(x[:, None], 13, axis=1))
+    law = ContactLaw(0.8, sole.penalty)
+    solver = ContactSolver(sole.compliance, sole.positions, law, ground=slope)
+    turn = -np.arctan(0.9) - np.deg2rad(from_ground)
+    R = exp_rotation(np.array([0.0, turn, 0.0]))
+    leans = State(np.zeros_like(sole.positions), np.zeros(3), R)
+    found = Convergence(True, 1, 0.0)
+    monkeypatch.setattr(simulation, "_lead", lambda *_: (leans, replace(found)))
+    target = Target(np.array([0.0, 0.0, 300.0]), np.zeros(2), START)
+    state, report = first_step(solver, target, 300.0)
+    assert report.converged == holds
+    assert (state is leans) == holds
 
 
 def test_newton_that_goes_in_circles_is_told_from_one_that_gains():
