@@ -64,30 +64,6 @@ def hat(v: np.ndarray) -> np.ndarray:
     return out
 
 
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross products row by row, (k, 3) or (c, k, 3).
-
-    Any axis but the last may be 1, or missing, in either.
-    """
-    out = _cross(*(x.reshape((1,) * (3 - x.ndim) + x.shape) for x in (a, b)))
-    return out if max(a.ndim, b.ndim) == 3 else out[0]
-
-
-@njit()
-def _cross(a, b):
-    out = np.empty(
-        (max(a.shape[0], b.shape[0]), max(a.shape[1], b.shape[1]), 3)
-    )
-    for c in range(out.shape[0]):
-        x, y = a[min(c, a.shape[0] - 1)], b[min(c, b.shape[0] - 1)]
-        for row in range(out.shape[1]):
-            i, j = min(row, len(x) - 1), min(row, len(y) - 1)
-            out[c, row, 0] = x[i, 1] * y[j, 2] - x[i, 2] * y[j, 1]
-            out[c, row, 1] = x[i, 2] * y[j, 0] - x[i, 0] * y[j, 2]
-            out[c, row, 2] = x[i, 0] * y[j, 1] - x[i, 1] * y[j, 0]
-    return out
-
-
 @njit()
 def multiply(a, b, out):
     """Product of 3 × 3 matrices, into out, for compiled code."""
@@ -98,25 +74,9 @@ def multiply(a, b, out):
                 out[i, j] += a[i, k] * b[k, j]
 
 
-@njit()
-def exp_rotation(w):
-    """Rotation matrix exp(hat(w)) of a rotation vector w [rad] (3,).
-
-    By a quaternion, as scipy's, whose checks take nine times as long.
-    """
-    angle = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-    square = angle * angle
-    if angle <= 1e-3:
-        part = 0.5 - square / 48 + square * square / 3840
-    else:
-        part = np.sin(angle / 2) / angle
-    x, y, z, c = part * w[0], part * w[1], part * w[2], np.cos(angle / 2)
-    xx, yy, zz, cc = x * x, y * y, z * z, c * c
-    out = np.empty((3, 3))
-    out[0] = xx - yy - zz + cc, 2 * (x * y - z * c), 2 * (x * z + y * c)
-    out[1] = 2 * (x * y + z * c), -xx + yy - zz + cc, 2 * (y * z - x * c)
-    out[2] = 2 * (x * z - y * c), 2 * (y * z + x * c), -xx - yy + zz + cc
-    return out
+def exp_rotation(w: np.ndarray) -> np.ndarray:
+    """Rotation matrix exp(hat(w)) of a rotation vector w [rad] (3,)."""
+    return Rotation.from_rotvec(w).as_matrix()
 
 
 def rotation_vector(R: np.ndarray) -> np.ndarray:

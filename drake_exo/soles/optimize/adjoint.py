@@ -7,11 +7,11 @@ condensation and the elements, see `elasticity.py`.
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy import cross
 
 from drake_exo.soles.contact.newton import ContactSolver, Start, Target
 from drake_exo.soles.elasticity import Sole, compliance_gradients
 from drake_exo.soles.loads import Load
-from drake_exo.soles.numerics import cross
 from drake_exo.soles.simulation import STABILITY_SCALE, StepHistory
 
 _NEGLIGIBLE = 1e-12  # of the largest derivative: samples left out
