@@ -22,5 +22,6 @@ def contact_at_pose(solver: ContactSolver, R, O, reference, guess=None):  # noqa
     stiffness = 1.0 / np.median(np.diag(solver.C)[2::3])
     lowest = -((solver.lP @ R.T)[:, 2] + O[2]).min()
     scale = max(stiffness * max(lowest, 0.0), 1e-6)
-    target = Target(np.array([0.0, 0.0, scale]), np.zeros(2), reference)
-    return solver.solve(State(F, np.array(O), np.array(R)), target, True)
+    force = np.array([0.0, 0.0, scale])
+    target = Target(force, np.zeros(2), reference, is_held=True)
+    return solver.solve(State(F, np.array(O), np.array(R)), target)

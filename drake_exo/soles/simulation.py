@@ -253,13 +253,14 @@ def _press_in(solver, target, guess, press) -> tuple[State, Target, int]:
     State, load that it carries, Newton steps taken.
     """
     depth, total = 1e-4, 0
-    aim = replace(target, force=np.array([0.0, 0.0, press]))
+    force = np.array([0.0, 0.0, press])
+    aim = replace(target, force=force, rotation=None, is_held=True)
     for _ in range(6):
         # Afresh at every height: forces of a deeper one would stay behind.
         state = guess.copy()
         state.O[2] -= depth
         # The references follow the held pose, as for the first sample.
-        state, report = solver.solve(state, aim, fixed_pose=True)
+        state, report = solver.solve(state, aim)
         total += report.iterations
         carried = state.F[:, 2].sum()
         if carried > 0.5 * press and carried < 2 * press:

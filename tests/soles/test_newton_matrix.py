@@ -1,5 +1,7 @@
 """Newton's matrix of the contact problem against differences, and its parts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -125,26 +127,28 @@ def _somewhere(solver, ground, of_start):
     target = Target(np.array([5.0, -3.0, 200.0]), zmp,
                     reference, 0.3,
                     height=float(ground.height(zmp[None])[0]))  # fmt: skip
-    held, _ = solver.solve(State(np.zeros_like(flat), O, R), target, True)
+    there = State(np.zeros_like(flat), O, R)
+    held, _ = solver.solve(there, replace(target, is_held=True))
     F = held.F * rng.uniform(0.9, 1.1, held.F.shape)
     return State(F, O, R), target
 
 
 @pytest.mark.parametrize("ground", [FLAT, _bumps()], ids=["flat", "bumps"])
 @pytest.mark.parametrize("of_start", [True, False], ids=["first", "later"])
-@pytest.mark.parametrize("fixed_pose", [False, True], ids=["free", "held"])
+@pytest.mark.parametrize("is_held", [False, True], ids=["free", "held"])
 def test_along_newton_s_step_all_residuals_fall_alike(
-    ground, of_start, fixed_pose
+    ground, of_start, is_held
 ):
     """d/dt of every active node's law and of the wrench is what is left."""
     law = ContactLaw(0.5, SOLE.penalty, 2e-5, 0.2)
     solver = ContactSolver.of(SOLE, law, ground=ground)
     state, target = _somewhere(solver, ground, of_start)
-    if fixed_pose and of_start:
+    target.is_held = is_held
+    if is_held and of_start:
         # With a pose that is held, references stay where they are.
         target.reference = target.reference.places(state.R, solver.lP)
-    point = solver._evaluate(state, target, fixed_pose, 1.0)
-    dF, dp = solver._direction(point, target, fixed_pose)
+    point = solver._evaluate(state, target, 1.0)
+    dF, dp = solver._direction(point, target)
     state, active = point.state, point.active
     assert 5 < active.sum() < len(active)
     slips = np.linalg.norm(point.tau[:, :2], axis=1) > 0.5 * point.tau[:, 2]
@@ -155,18 +159,18 @@ def test_along_newton_s_step_all_residuals_fall_alike(
         Z = target.point
         moved = State(state.F + t * dF, Z + turn @ (state.O - Z) + t * dp[:3],
                       turn @ state.R)  # fmt: skip
-        found = solver._evaluate(moved, target, fixed_pose, 1.0)
+        found = solver._evaluate(moved, target, 1.0)
         return found.phi[active], found.wrench
 
     h = 1e-5
     # Where planes turn with the foot, Newton takes F for T, as in the end.
-    near = 2e-3 if of_start and not (fixed_pose or ground.is_flat) else 2e-5
+    near = 2e-3 if of_start and not (is_held or ground.is_flat) else 2e-5
     (a, u), (b, v) = there(h), there(-h)
     np.testing.assert_allclose(
         (a - b) / (2 * h), -point.phi[active],
         atol=near * np.abs(point.phi).max(),
     )  # fmt: skip
-    if fixed_pose:
+    if is_held:
         assert not dp.any() and not point.wrench.any()
     else:
         size = np.array([1, 1, 1, 0.05, 0.05, 0.05])
@@ -232,10 +236,11 @@ def test_sweeps_without_a_budget_have_not_settled(monkeypatch):
     start = Start(np.array([-0.1, 0.0, -0.03]), np.array([-0.1, 0.0, -1e-4]))
     places = start.places(np.eye(3), solver.lP)
     state = State(0.0 * places, start.point_W - start.point_L, np.eye(3))
-    target = Target(np.array([5.0, -3.0, 200.0]), np.zeros(2), places, 0.0)
-    assert solver.solve(state, target, True)[1].converged
+    force = np.array([5.0, -3.0, 200.0])
+    held = Target(force, np.zeros(2), places, is_held=True)
+    assert solver.solve(state, held)[1].converged
     monkeypatch.setattr(gauss_seidel, "_MAX_SWEEPS", 0)
-    report = solver.solve(state, target, True)[1]
+    report = solver.solve(state, held)[1]
     assert not report.converged and "did not settle" in report.message
 
 

@@ -42,23 +42,20 @@ class GaussSeidelSolver(ContactSolver):
         self.sweep_tolerance = sweep_tolerance
         self.sweeps = 0
 
-    def solve(
-        self, state: State, target: Target, fixed_pose: bool = False
-    ) -> tuple[State, Convergence]:
+    def solve(self, state: State, target: Target) -> tuple[State, Convergence]:
         """Pose Newton around sweeps; see `ContactSolver.solve`."""
         state = state.copy()
-        if not fixed_pose:
-            state.O, state.R = target.turned(state.O, state.R)
+        state.O, state.R = target.turned(state.O, state.R)
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
         self.sweeps = 0
-        need = np.inf if not fixed_pose else 0.0
+        need = 0.0 if target.is_held else np.inf
         for iteration in range(self.max_iterations):
             tolerance = max(self.sweep_tolerance, min(1e-3, _RELAXATION * need))
             while True:
                 change = self._sweeps(state, target, tolerance)
-                point = self._evaluate(state, target, fixed_pose, scale)
+                point = self._evaluate(state, target, scale)
                 need = wrench_size(point.wrench) / scale
-                if fixed_pose or tolerance <= self.sweep_tolerance:
+                if tolerance <= self.sweep_tolerance:
                     break
                 if tolerance <= _RELAXATION * need:
                     break  # (25): exact enough for this wrench
@@ -66,7 +63,7 @@ class GaussSeidelSolver(ContactSolver):
             if change > tolerance:
                 said = "Gauss–Seidel sweeps did not settle"
                 return state, Convergence(False, iteration, need, said)
-            done = fixed_pose or need < _WRENCH_TOLERANCE
+            done = need < _WRENCH_TOLERANCE
             if done and change <= self.sweep_tolerance:
                 worst = max(need, change)
                 return state, Convergence(True, iteration + 1, worst)

@@ -255,26 +255,19 @@ class Linearisation:
     def _to_sole(self, x: np.ndarray) -> np.ndarray:
         return (self.R.T @ x).reshape(3 * len(self.nodes), -1)
 
-    def solve_forces(self, phi: np.ndarray) -> np.ndarray:
-        """Newton step of the forces at fixed pose, world [N], (k, 3)."""
-        offset, phi_g = self._offset(phi)
-        dF, _ = self._respond(self.S @ offset, offset, phi_g)
-        return dF.reshape(-1, 3) @ self.R.T
-
-    def _offset(self, phi):
-        """dδ of firm nodes (3k, 1), residual of the loose ones (3g,)."""
-        local = (phi @ self.R).reshape(-1, 1)
-        offset = -local / self.r
-        offset[self._g] = 0.0
-        return offset, local[self._g, 0]
-
     def solve(self, phi, wrench, asked, turn=None):
         """Newton step dF (k, 3), world, and dp = (dzO, dω) (6,).
 
         For law residual phi (k, 3) and wrench residual (6,), in the components
         of both that are `asked` for, with planes that `turn`, if they do.
         """
-        offset, phi_g = self._offset(phi)
+        local, dp = (phi @ self.R).reshape(-1, 1), np.zeros(6)
+        # dδ of firm nodes, residual of the loose ones.
+        offset, phi_g = -local / self.r, local[self._g, 0]
+        offset[self._g] = 0.0
+        if not len(asked):
+            dF, _ = self._respond(self.S @ offset, offset, phi_g)
+            return dF.reshape(-1, 3) @ self.R.T, dp
         pose = self._against_pose(turn)
         # One product with S, one solution for offset and pose together.
         T = self._S_times(np.concatenate((offset, pose), axis=1))
@@ -282,7 +275,7 @@ class Linearisation:
         known[:, :1] = offset
         dF, dP = self._respond(T, known, phi_g, self._law_turned(turn))
         G = self._pose_wrench(dF, dP, turn)
-        dp, at = np.zeros(6), np.ix_(asked, asked)
+        at = np.ix_(asked, asked)
         dp[asked] = np.linalg.solve(G[:, 1:][at], -(wrench + G[:, 0])[asked])
         step = dF[:, 0] + dF[:, 1:] @ dp
         return step.reshape(-1, 3) @ self.R.T, dp

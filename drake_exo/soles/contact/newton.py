@@ -90,9 +90,9 @@ def residual(P, F, Q, axes, zmp, r, mu, epsilon, kappa):
     return tau, phi, arm, wrench, largest
 
 
-# Increments (dzO, dω) of a free pose, and of one whose orientation is given;
-# the same components of the wrench are asked for.
-_WHOLE, _SHIFT = np.arange(6), np.arange(3)
+# Increments (dzO, dω) of a free pose, of one whose orientation is given, of one
+# that is held; the same components of the wrench are asked for.
+_WHOLE, _SHIFT, _NOTHING = np.arange(6), np.arange(3), np.arange(0)
 _SIZES = np.repeat([1.0, 0.05], 3)  # [m]: moments count over 50 mm in norms
 _MAX_TURN, _MAX_SHIFT = 0.15, 0.01  # caps on one Newton step: rad, m
 _HALVINGS = 6
@@ -154,6 +154,8 @@ class Target:
         rotation: Orientation (3, 3); where it is given, the force alone is
             reached.
         height: Of the ground at the ZMP [m].
+        is_held: The pose stays, and nodal forces alone are solved for (the
+            paper's Algorithm 3); `force` only scales the residual.
     """
 
     force: np.ndarray
@@ -162,6 +164,7 @@ class Target:
     moment: float = 0.0
     rotation: np.ndarray | None = None
     height: float = 0.0
+    is_held: bool = False
 
     @property
     def point(self) -> np.ndarray:
@@ -171,6 +174,8 @@ class Target:
     @property
     def asked(self) -> np.ndarray:
         """Components of the wrench that are asked for, and of the pose."""
+        if self.is_held:
+            return _NOTHING
         return _WHOLE if self.rotation is None else _SHIFT
 
     def places_before(self, R: np.ndarray, lP: np.ndarray) -> np.ndarray:
@@ -272,31 +277,24 @@ class ContactSolver:
         """Y = R (lP + C Rᵀ F): places relative to O, world, (m, 3)."""
         return deformed(self.C, self.lP, R, F)
 
-    def solve(
-        self, state: State, target: Target, fixed_pose: bool = False
-    ) -> tuple[State, Convergence]:
-        """Newton from `state`, which stays; the last state and its report.
-
-        A `fixed_pose` is kept, and forces alone are solved for (the paper's
-        Algorithm 3); the target's force only scales the residual.
-        """
+    def solve(self, state: State, target: Target) -> tuple[State, Convergence]:
+        """Newton from `state`, which stays; the last state and its report."""
         state = state.copy()
-        if not fixed_pose:
-            state.O, state.R = target.turned(state.O, state.R)
+        state.O, state.R = target.turned(state.O, state.R)
 
         def improved(point):
-            dF, dp = self._direction(point, target, fixed_pose)
+            dF, dp = self._direction(point, target)
 
             def trial(step):
                 there = move(point.state, step * dF, step * dp, target.point)
-                return self._evaluate(there, target, fixed_pose, scale)
+                return self._evaluate(there, target, scale)
 
             step = capped(dp, _MAX_TURN, _MAX_SHIFT)
             return line_search(point, trial, step, _HALVINGS)
 
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
         point, report = newton(
-            self._evaluate(state, target, fixed_pose, scale), improved,
+            self._evaluate(state, target, scale), improved,
             self.tolerance, self.max_iterations,
         )  # fmt: skip
         if report.converged:
@@ -313,11 +311,11 @@ class ContactSolver:
         About the ZMP, of a given pose the forces' own.
         """
         target = target.about_own_zmp(state.F, P, self.ground)
-        point = self._evaluate(state, target, False, 1.0, P)
+        point = self._evaluate(state, target, 1.0, P)
         point.tau = at_rest(point.tau, self.law, target.force)
         return self._linearisation(point, target)
 
-    def _evaluate(self, state, target, fixed_pose, scale, P=None) -> "_Point":
+    def _evaluate(self, state, target, scale, P=None) -> "_Point":
         F, law = state.F, self.law
         if P is None:
             P = self.deformed(F, state.R) + state.O
@@ -326,13 +324,8 @@ class ContactSolver:
             P, F, Q, axes, target.point,
             law.penalty, law.friction, law.epsilon, law.kappa,
         )  # fmt: skip
-        merit = largest / scale
-        if fixed_pose:
-            wrench = np.zeros(6)
-        else:
-            wrench = target.missed(wrench)
-            off = wrench_size(wrench) / scale
-            merit = float(np.maximum(merit, off))  # NaN stays
+        wrench = target.missed(wrench)
+        merit = float(np.maximum(largest, wrench_size(wrench)) / scale)
         active = tau[:, 2] > -law.epsilon
         return _Point(state, P, axes, arm, tau, phi, wrench, active, merit)
 
@@ -351,7 +344,7 @@ class ContactSolver:
             point.axes[nodes],
         )
 
-    def _direction(self, point, target, fixed_pose):
+    def _direction(self, point, target):
         """Newton step (dF, dzO, dω) at a point, inactive forces released."""
         state = point.state
         stray = ~point.active & np.any(state.F != 0.0, axis=1)
@@ -359,14 +352,11 @@ class ContactSolver:
             released = state.copy()
             released.F[stray] = 0.0
             kept = {"active": point.active, "merit": point.merit}
-            new = self._evaluate(released, target, fixed_pose, 1.0)
+            new = self._evaluate(released, target, 1.0)
             point.__dict__.update(new.__dict__ | kept)
         try:
             lin = self._linearisation(point, target)
             dF, phi = np.zeros_like(state.F), point.phi[lin.nodes]
-            if fixed_pose:
-                dF[lin.nodes] = lin.solve_forces(phi)
-                return dF, np.zeros(6)
             turn = target.turn(self.ground, state.R, self.lP[lin.nodes])
             dF[lin.nodes], dp = lin.solve(phi, point.wrench, target.asked, turn)
         except np.linalg.LinAlgError:
