@@ -90,12 +90,6 @@ class NeoHookeanBody:
         H = np.swapaxes(u[mesh.tets], 1, 2) @ mesh.gradients
         return np.eye(3) + H
 
-    def stretches(self, u: np.ndarray) -> tuple[float, float]:
-        """Largest and least principal stretch over the elements."""
-        F = self.deformation_gradient(u)
-        values = np.linalg.svd(F, compute_uv=False)
-        return float(values.max()), float(values.min())
-
     def internal_force(self, u: np.ndarray) -> np.ndarray:
         """Σ_e V P g_a at every node [N], (n, 3).
 
@@ -132,50 +126,25 @@ class NeoHookeanBody:
 
     def tangent(self, u: np.ndarray) -> csc_matrix:
         """Tangent stiffness of the free dofs [N/m], sparse symmetric."""
-        indptr, indices, place, inside = self._pattern
-        values = self.element_tangents(u).reshape(-1)[inside]
-        data = np.bincount(place, values, minlength=len(indices))
-        size = 3 * len(self.free)
-        return csc_matrix((data, indices, indptr), shape=(size, size))
-
-    @cached_property
-    def _pattern(self):
-        """Sparsity of the free dofs, and where each element entry goes."""
-        row_of = np.full(len(self.mesh.nodes), -1)
-        row_of[self.free] = np.arange(len(self.free))
-        nodes = row_of[self.mesh.tets]
-        dofs = np.where(
-            nodes[:, :, None] < 0, -1, 3 * nodes[:, :, None] + np.arange(3)
-        ).reshape(-1, 12)
-        rows = np.repeat(dofs, 12, axis=1).ravel()
-        cols = np.tile(dofs, (1, 12)).ravel()
-        inside = np.flatnonzero((rows >= 0) & (cols >= 0))
-        size = 3 * len(self.free)
-        key = cols[inside] * size + rows[inside]
-        unique, place = np.unique(key, return_inverse=True)
-        indptr = np.searchsorted(unique, np.arange(size + 1) * size)
-        return indptr, unique % size, place, inside
+        number = np.full(len(self.mesh.nodes), -1)
+        number[self.free] = np.arange(len(self.free))
+        dofs = node_dofs(number[self.mesh.tets.ravel()]).reshape(-1, 12)
+        rows, cols = np.repeat(dofs, 12, axis=1), np.tile(dofs, (1, 12))
+        inside = (rows >= 0) & (cols >= 0)
+        values = self.element_tangents(u).reshape(-1, 144)[inside]
+        shape = (3 * len(self.free),) * 2
+        return csc_matrix((values, (rows[inside], cols[inside])), shape)
 
 
 _MAX_TURN, _MAX_SHIFT = 0.1, 0.005  # caps on one Newton step: rad, m
-_HALVINGS = 8
+_HALVINGS, _MOST_STEPS = 8, 25
 
 
 @dataclass
-class FiniteState:
-    """A deformed sole on its foot.
+class FiniteState(State):
+    """With the displacements u of all nodes, sole frame [m], (n, 3)."""
 
-    Attributes:
-        F: Forces of the ground on the contact nodes, world [N], (m, 3).
-        u: Displacements of all nodes, sole frame [m], (n, 3).
-        O: Place of the sole frame's origin, world [m], (3,).
-        R: Orientation, (3, 3).
-    """
-
-    F: np.ndarray
     u: np.ndarray
-    O: np.ndarray  # noqa: E741
-    R: np.ndarray
 
 
 class FiniteStrainSolver:
@@ -189,16 +158,14 @@ class FiniteStrainSolver:
         body: NeoHookeanBody,
         law: ContactLaw,
         tolerance: float = 1e-9,
-        max_iterations: int = 25,
         ground: Ground = FLAT,
     ):
         self.body, self.law, self.ground = body, law, ground
-        self.tolerance, self.max_iterations = tolerance, max_iterations
+        self.tolerance = tolerance
         self.nodes = body.mesh.contact
         self.rest = body.mesh.nodes[self.nodes]
-        rows = np.searchsorted(body.free, self.nodes)
-        self._rows = node_dofs(rows)
-        self._blocks = rows
+        self._blocks = np.searchsorted(body.free, self.nodes)
+        self._rows = node_dofs(self._blocks)
 
     def places(self, state: FiniteState) -> np.ndarray:
         """World places of the contact nodes [m], (m, 3)."""
@@ -208,7 +175,7 @@ class FiniteStrainSolver:
         self, state: FiniteState, target: Target
     ) -> tuple[FiniteState, Convergence]:
         """Newton from `state`; the last state and its report."""
-        state = replace(state)
+        state = state.copy()
         state.O, state.R = target.turned(state.O, state.R)
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
 
@@ -230,7 +197,7 @@ class FiniteStrainSolver:
                 u = old.u.copy()
                 u[self.body.free] += size * du
                 O = Z + turn @ (old.O - Z) + size * dp[:3]  # noqa: E741
-                guess = FiniteState(old.F, u, O, turn @ R)
+                guess = FiniteState(old.F, O, turn @ R, u)
                 tau = point.tau + size * d_tau
                 return self._evaluate(tau, guess, target, scale)
 
@@ -239,7 +206,7 @@ class FiniteStrainSolver:
 
         point, report = newton(
             self._evaluate(self._tau(state, target), state, target, scale),
-            improved, self.tolerance, self.max_iterations,
+            improved, self.tolerance, _MOST_STEPS,
         )  # fmt: skip
         return point.state, report
 
@@ -283,7 +250,7 @@ class FiniteStrainSolver:
         merit = np.inf
         if np.isfinite(balance).all():
             merit = max(float(np.abs(balance).max()), wrench_size(wrench))
-        state = FiniteState(F, u, O, R)
+        state = FiniteState(F, O, R, u)
         return _Point(state, tau, axes, arm, balance, wrench, merit / scale)
 
 
@@ -466,7 +433,7 @@ def _enter(sole, solver, target: Target, largest: float, known: State | None):
                 best = best or (None, report, 0.0)
                 continue
         u = sole.displacement(guess.F @ guess.R)
-        state = FiniteState(guess.F, u, guess.O, guess.R)
+        state = FiniteState(guess.F, guess.O, guess.R, u)
         state, report = solver.solve(state, aim)
         if not report.converged:
             best = best or (None, report, 0.0)
@@ -604,9 +571,11 @@ def _sample(
         shapes["small"] = [tilt_deg(R, up), 1 + eps.max(), 1 + eps.min()]
     if finite.reports[q].converged:
         state = finite.states[q]
-        body = NeoHookeanBody(sole.mesh, sole.material)
-        tilt = tilt_deg(state.R, up)
-        shapes["finite"] = [tilt, *body.stretches(state.u)]
+        F = NeoHookeanBody(sole.mesh, sole.material).deformation_gradient(
+            state.u
+        )
+        values = np.linalg.svd(F, compute_uv=False)
+        shapes["finite"] = [tilt_deg(state.R, up), values.max(), values.min()]
     for kind, K_c in zip(_KINDS, (small.K_c[q], finite.K_c[q]), strict=True):
         values = (
             sigma_max_translation(K_c),

@@ -137,8 +137,8 @@ class State:
     R: np.ndarray
 
     def copy(self) -> "State":
-        """A deep copy."""
-        return State(self.F.copy(), self.O.copy(), self.R.copy())
+        """A copy, forces and pose with it."""
+        return replace(self, F=self.F.copy(), O=self.O.copy(), R=self.R.copy())
 
 
 @dataclass
