@@ -267,7 +267,7 @@ def _press_in(solver, target, guess, press) -> tuple[State, Target, int]:
             break
         depth *= np.clip(press / max(carried, 1e-3 * press), 0.2, 10.0)
     resultant = state.F.sum(axis=0)
-    P = solver.deformed(state.F, state.R) + state.O
+    P = solver.places(state)
     zmp = (P[:, :2] * state.F[:, 2:]).sum(axis=0) / max(resultant[2], 1e-9)
     x, y = (P[:, :2] - zmp).T
     moment = float(x @ state.F[:, 1] - y @ state.F[:, 0])
@@ -344,7 +344,7 @@ def refine_time(
         total += report.iterations
         if report.converged:
             state, done, references = trial, ahead, places
-            places = solver.deformed(state.F, state.R) + state.O
+            places = solver.places(state)
             part, parts = 2.0 * part, parts + 1
         else:
             part *= 0.5
@@ -526,12 +526,12 @@ def simulate(
         np.full((steps, 6, 6), np.nan),
         friction=solver.law.friction,
     )
-    good = None  # (sample, state, places) of the last success
+    good = None  # the last sample that converged
     left = 0 if near else np.inf  # Newton steps that may still be taken
     for q in range(steps):
         if q in load.begins:
             good = None
-        reference = start if good is None else good[2]
+        reference = start if good is None else history.P[good]
         target = load.target(q, reference, solver.ground)
         if near is not None:
             left += _PATIENCE * (10 + near.reports[q].iterations)
@@ -542,20 +542,21 @@ def simulate(
                 solver, target, largest_force or part.largest_force, first, left
             )
         else:
-            before = load.target(good[0], reference, solver.ground)
-            guess = _alike(near, good[0], q, good[1]) if near else None
-            state, report = follow_load(solver, good[1], before, target, guess)
+            old = history.state(good)
+            before = load.target(good, reference, solver.ground)
+            guess = _alike(near, good, q, old) if near else None
+            state, report = follow_load(solver, old, before, target, guess)
             if not (report.converged or stop_at_failure):
                 spent = report.iterations
                 state, report, target.reference = refine_time(
-                    solver, good[1], good[2], before, target
+                    solver, old, reference, before, target
                 )
                 report.iterations += spent
                 history.between[q] = target.reference
         if state is not None:
             history.F[q], history.O[q] = state.F, state.O
             history.R[q] = state.R
-            history.P[q] = solver.deformed(state.F, state.R) + state.O
+            history.P[q] = solver.places(state)
         left -= report.iterations
         if left < 0:
             report.converged = False
@@ -566,7 +567,7 @@ def simulate(
             history.K_c[q] = lin.cartesian_stiffness
             if keep:
                 history.linear.append(lin.kept())
-            good = (q, state, history.P[q])
+            good = q
         elif stop_at_failure:
             rest = Convergence(False, 0, np.inf, "left out after a failure")
             history.reports += [rest] * (steps - q - 1)

@@ -152,7 +152,7 @@ def test_pressed_in_it_carries_about_what_is_asked(solver):
         assert 0.5 * press < total[2] < 2 * press
         assert steps >= 1
         np.testing.assert_allclose(carried.force, total)
-        P = solver.deformed(state.F, state.R) + state.O
+        P = solver.places(state)
         point = np.array([*carried.zmp, 0.0])
         moment = np.cross(P - point, state.F).sum(axis=0)
         heights = (P[:, 2:] * state.F[:, :2]).sum(axis=0)
@@ -187,8 +187,8 @@ class Reach:
         )
         return new, Convergence(ok, 5, 0.0 if ok else 1.0, "" if ok else "far")
 
-    def deformed(self, F, R):
-        return 10 * F
+    def places(self, state):
+        return 10 * state.F
 
 
 def _ends():
@@ -389,7 +389,7 @@ def test_what_takes_far_longer_than_a_neighbour_fails(monkeypatch):
         [Convergence(True, n, 0.0) for n in (2, 5, 0)],
     )  # fmt: skip
     solver = SimpleNamespace(
-        lP=np.zeros((2, 3)), ground=FLAT, deformed=lambda F, R: F,
+        lP=np.zeros((2, 3)), ground=FLAT, places=lambda state: state.F,
         law=SimpleNamespace(friction=0.8),
         linearise=lambda *_: SimpleNamespace(cartesian_stiffness=np.eye(6)),
     )  # fmt: skip

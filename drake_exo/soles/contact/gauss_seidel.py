@@ -83,7 +83,7 @@ class GaussSeidelSolver(ContactSolver):
         C, B = self.C.reshape(m, 3, m, 3), axes @ R
         W = np.einsum("iab,ibjc,jdc->iajd", B, C, B, optimize=True)
         W = np.ascontiguousarray(W.reshape(3 * m, 3 * m))
-        delta = self.deformed(state.F, R) + state.O - Q
+        delta = self.places(state) - Q
         F, delta = (np.einsum("iab,ib->ia", axes, x) for x in (state.F, delta))
         budget = _MAX_SWEEPS - self.sweeps
         change, used = _gauss_seidel(

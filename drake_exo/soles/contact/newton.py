@@ -273,9 +273,9 @@ class ContactSolver:
         """Of a sole."""
         return cls(sole.compliance, sole.positions, law, **options)
 
-    def deformed(self, F: np.ndarray, R: np.ndarray) -> np.ndarray:
-        """Y = R (lP + C Rᵀ F): places relative to O, world, (m, 3)."""
-        return deformed(self.C, self.lP, R, F)
+    def places(self, state: State) -> np.ndarray:
+        """World places of the contact nodes [m], (m, 3)."""
+        return deformed(self.C, self.lP, state.R, state.F) + state.O
 
     def solve(self, state: State, target: Target) -> tuple[State, Convergence]:
         """Newton from `state`, which stays; the last state and its report."""
@@ -318,7 +318,7 @@ class ContactSolver:
     def _evaluate(self, state, target, scale, P=None) -> "_Point":
         F, law = state.F, self.law
         if P is None:
-            P = self.deformed(F, state.R) + state.O
+            P = self.places(state)
         Q, axes = self.ground.planes(target.places_before(state.R, self.lP))
         tau, phi, arm, wrench, largest = residual(
             P, F, Q, axes, target.point,
