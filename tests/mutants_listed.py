@@ -700,7 +700,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     "drake_exo/soles/mesh.py": [
         ("floor = 1e-9 * np.median(np.abs(mesh.volumes))", "floor = 1e-9"),
         ("WALL + np.ptp(mesh.nodes[:, 2])", "WALL"),
-        ("- 8.0 * (x[a, i]", "- 4.0 * (x[a, i]"),
+        ("2.0 * x / away", "x / away"),
     ],
     "drake_exo/soles/optimize/design.py": [
         ('1e6 * limits["volume"]', 'limits["volume"]'),

@@ -19,7 +19,6 @@ from scipy.sparse.csgraph import connected_components
 
 from drake_exo.errors import InputError
 from drake_exo.files.mesh import read_cells
-from drake_exo.soles.numerics import njit
 
 # The four faces of a tetrahedron, wound so that normals point outwards.
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
@@ -33,6 +32,7 @@ _DOWNWARDS = 1e-3  # of a face's normal: beyond rounding
 UPWARDS = 0.0175  # of a face's normal: a degree, vertical sides as meshed
 _MOST_TETS = 1_000_000  # 20 GB of memory
 _RECTANGLE = 0.99  # least part of its bounding box that a rectangle fills
+_UNFELT = 1e-17  # of the largest share in a sum
 _LEAST_TOP = 0.3  # of the area seen from above that is a flat top
 
 
@@ -217,9 +217,32 @@ class TetMesh:
     def quality(self) -> np.ndarray:
         """Mean-ratio quality, 1 for a regular tet, <= 0 if inverted, (e,).
 
-        12 (3 V)^(2/3) / Σ l² (Liu and Joe, BIT 34, 1994).
+        12 (3 V)^(2/3) / Σ l² (Liu and Joe, BIT 34, 1994), where the sum is four
+        times that of the corners' squared distances from their middle.
         """
-        return qualities(self.nodes, self.tets)
+        V, away = self.volumes, (self._from_middles() ** 2).sum(axis=(1, 2))
+        return 3.0 * np.sign(V) * (3.0 * np.abs(V)) ** (2 / 3) / away
+
+    def quality_gradient(self, share: np.ndarray) -> np.ndarray:
+        """∂/∂nodes of Σ share · quality [1/m], (n, 3); no volume may be 0."""
+        # Those of a soft minimum are nothing at most elements.
+        felt = np.abs(share) > _UNFELT * np.abs(share).max()
+        part, out = (
+            replace(self, tets=self.tets[felt]),
+            np.zeros_like(self.nodes),
+        )
+        x = part._from_middles()
+        away = (x**2).sum(axis=(1, 2))[:, None, None]
+        size = (part.quality() * share[felt])[:, None, None]
+        scatter(
+            out, part.tets, size * (2 / 3 * part.gradients - 2.0 * x / away)
+        )
+        return out
+
+    def _from_middles(self) -> np.ndarray:
+        """Of the corners from the middle of their tet [m], (e, 4, 3)."""
+        x = self.nodes[self.tets]
+        return x - x.mean(axis=1, keepdims=True)
 
     def edges(self) -> tuple[np.ndarray, np.ndarray]:
         """Nodes of every edge, lower first, (k, 2); each tet's six, (e, 6)."""
@@ -232,59 +255,6 @@ class TetMesh:
         """Matrices whose rows are x_a - x_0, (e, 3, 3)."""
         x = self.nodes[self.tets]
         return x[:, 1:] - x[:, :1]
-
-
-@njit()
-def qualities(nodes, tets):
-    """`TetMesh.quality` of tets (e, 4) of nodes (n, 3), (e,)."""
-    out, by_volume = np.empty(len(tets)), np.empty((4, 3))
-    for e in range(len(tets)):
-        V, l2, _ = _size(nodes[tets[e]], by_volume)
-        out[e] = 12.0 * np.sign(V) * (3.0 * abs(V)) ** (2 / 3) / l2
-    return out
-
-
-@njit()
-def quality_gradient(nodes, tets, share):
-    """∂/∂nodes of Σ share · quality [1/m], (n, 3); no volume may be 0."""
-    out, by_volume = np.zeros_like(nodes), np.empty((4, 3))
-    for e in range(len(tets)):
-        x = nodes[tets[e]]
-        V, l2, middle = _size(x, by_volume)
-        factor = 12.0 * np.sign(V) * (3.0 * abs(V)) ** (2 / 3) / l2 * share[e]
-        for a in range(4):
-            for i in range(3):
-                out[tets[e, a], i] += factor * (
-                    2 / 3 * by_volume[a, i] / V
-                    - 8.0 * (x[a, i] - middle[i]) / l2
-                )
-    return out
-
-
-@njit()
-def _size(x, by_volume):
-    """Volume, sum of squared edges and middle of a tet with corners (4, 3).
-
-    `by_volume` (4, 3) gets the volume's derivatives.
-    """
-    l2, middle = 0.0, np.zeros(3)
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        by_volume[0, i] = 0.0
-        for a in range(3):
-            p, q = x[1 + (a + 1) % 3], x[1 + (a + 2) % 3]
-            slope = (p[j] - x[0, j]) * (q[k] - x[0, k])
-            slope -= (p[k] - x[0, k]) * (q[j] - x[0, j])
-            by_volume[1 + a, i] = slope / 6
-            by_volume[0, i] -= slope / 6
-        for a in range(4):
-            middle[i] += x[a, i] / 4
-            for b in range(a):
-                l2 += (x[a, i] - x[b, i]) ** 2
-    V = 0.0
-    for i in range(3):
-        V += by_volume[1, i] * (x[1, i] - x[0, i])
-    return V, l2, middle
 
 
 def normals_of(corners: np.ndarray) -> np.ndarray:

@@ -11,8 +11,6 @@ from drake_exo.soles.mesh import (
     brick,
     checked_mesh,
     halved,
-    qualities,
-    quality_gradient,
     read_mesh,
     write_triangles,
     write_vtk,
@@ -292,15 +290,18 @@ def test_quality_of_a_corner_and_of_one_turned_over():
 def test_slopes_of_quality():
     """One of the tets is turned over."""
     mesh = _cloud()
-    tets = mesh.tets.copy()
-    tets[0, :2] = tets[0, 1::-1]
+    mesh.tets[0, :2] = mesh.tets[0, 1::-1]
     rng = np.random.default_rng(3)
-    share, way = rng.uniform(size=len(tets)), rng.normal(size=mesh.nodes.shape)
+    share, way = (
+        rng.uniform(size=len(mesh.tets)),
+        rng.normal(size=mesh.nodes.shape),
+    )
     h = 1e-6
     ahead, behind = (
-        share @ qualities(mesh.nodes + s * h * way, tets) for s in (1, -1)
+        share @ mesh.with_nodes(mesh.nodes + s * h * way).quality()
+        for s in (1, -1)
     )
-    found = quality_gradient(mesh.nodes, tets, share)
+    found = mesh.quality_gradient(share)
     assert (found * way).sum() == pytest.approx((ahead - behind) / (2 * h))
 
 

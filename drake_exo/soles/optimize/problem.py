@@ -21,8 +21,6 @@ from drake_exo.soles.mesh import (
     SphericalSpline,
     TetMesh,
     face_edges,
-    qualities,
-    quality_gradient,
 )
 from drake_exo.soles.optimize.adjoint import gradients, singular_terms
 from drake_exo.soles.optimize.limits import (
@@ -335,22 +333,22 @@ class _Elements:
     """Elements whose quality, over their own at rest, a design changes."""
 
     def __init__(self, mesh: TetMesh, spline: SphericalSpline):
-        self._nodes, self._tets = mesh.nodes, mesh.tets
+        self._mesh = mesh
         self.basis = spline.basis(mesh.nodes)
         self._rest = mesh.quality()
 
-    def _moved(self, p) -> np.ndarray:
+    def _moved(self, p) -> TetMesh:
         M, s0 = self.basis
-        return (M @ p + s0)[:, None] * self._nodes
+        return self._mesh.with_nodes((M @ p + s0)[:, None] * self._mesh.nodes)
 
     def quality(self, p: np.ndarray) -> np.ndarray:
         """Of every element, (e,)."""
-        return qualities(self._moved(p), self._tets) / self._rest
+        return self._moved(p).quality() / self._rest
 
     def slope(self, p: np.ndarray, share: np.ndarray) -> np.ndarray:
         """Derivatives of Σ share · quality by the coefficients, (k,)."""
-        X = quality_gradient(self._moved(p), self._tets, share / self._rest)
-        return self.basis[0].T @ (X * self._nodes).sum(axis=1)
+        X = self._moved(p).quality_gradient(share / self._rest)
+        return self.basis[0].T @ (X * self._mesh.nodes).sum(axis=1)
 
 
 class WalkProblem(ShapeProblem):
