@@ -64,16 +64,7 @@ class SparseCholesky:
     def __init__(self, K: bsr_matrix, fronts: list[Front]):
         self._count = K.shape[0]
         self._parts = []  # own dofs, border's dofs, factor, rows below
-        factor = self._eliminate(K, fronts)
-        self._root = node_dofs(fronts[-1].own)
-        inverse, _ = dpotri(factor, lower=1, overwrite_c=1)
-        # Symmetric: turned so that its rows lie together in memory.
-        self.last_inverse = mirrored(inverse).T
-
-    def _eliminate(self, K: bsr_matrix, fronts: list[Front]) -> np.ndarray:
-        """All fronts; the last one's lower triangle."""
-        place = np.full(self._count // 3, -1)
-        updates = {}
+        place, updates = np.full(self._count // 3, -1), {}
         for number, front in enumerate(fronts):
             both = np.concatenate([front.own, front.border])
             place[both] = np.arange(len(both))
@@ -96,7 +87,10 @@ class SparseCholesky:
                 )
                 own, border = node_dofs(front.own), node_dofs(front.border)
                 self._parts.append((own, border, factor, below))
-        return factor
+        self._root = node_dofs(fronts[-1].own)
+        inverse, _ = dpotri(factor, lower=1, overwrite_c=1)
+        # Symmetric: turned so that its rows lie together in memory.
+        self.last_inverse = mirrored(inverse).T
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """K⁻¹ b, (3n, c)."""
@@ -252,12 +246,6 @@ class Material:
     density_kg_per_m3: float
 
     def __post_init__(self):
-        for key in ("youngs_modulus_pa", "density_kg_per_m3"):
-            if not getattr(self, key) > 0:
-                raise InputError(
-                    f"material {self.name}: {key} {getattr(self, key)} must be "
-                    "above 0"
-                )
         if not -1.0 < self.poissons_ratio < 0.5:
             raise InputError(
                 f"material {self.name}: poissons_ratio {self.poissons_ratio} "

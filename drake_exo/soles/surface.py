@@ -181,13 +181,19 @@ def _scale(path, longest: float, unit: Unit | None) -> float:
 
 def _merged(nodes, faces) -> tuple[np.ndarray, np.ndarray]:
     """Coincident corners made one; triangles without area left out."""
-    step = 1e-6 * np.ptp(nodes, axis=0).max()
-    _, first, which = np.unique(
-        np.round(nodes / step), axis=0, return_index=True, return_inverse=True
-    )
-    faces = which.ravel()[faces]
+    first, which = _coincident(nodes)
+    faces = which[faces]
     a, b, c = faces.T
     return nodes[first], faces[(a != b) & (b != c) & (c != a)]
+
+
+def _coincident(places) -> tuple[np.ndarray, np.ndarray]:
+    """One of each place, to a millionth of all; which of these each is."""
+    step = 1e-6 * np.ptp(places, axis=0).max()
+    _, first, which = np.unique(
+        np.round(places / step), axis=0, return_index=True, return_inverse=True
+    )
+    return first, which.ravel()
 
 
 def _parted(path, nodes, faces) -> tuple[np.ndarray, np.ndarray]:
@@ -457,19 +463,15 @@ class _Thickness:
         self.step = float(size.max() / count)
         # Away from round numbers, on which edges of drawn shapes lie.
         self.low = low - 0.3183 * self.step
-        self.shape = np.ceil(size / self.step).astype(int) + 2
+        shape = np.ceil(size / self.step).astype(int) + 2
         self.corners, self.cell = corners, self.step**2
-        self.values = self._inside_length()
-
-    def _inside_length(self) -> np.ndarray:
-        i, j = np.meshgrid(*map(np.arange, self.shape), indexing="ij")
-        places = np.stack([i.ravel(), j.ravel()], 1) * self.step + self.low
-        total = np.zeros(len(places))
+        at = np.stack(np.indices(shape), axis=-1).reshape(-1, 2)
+        places, total = at * self.step + self.low, np.zeros(len(at))
         for rows, z in crossings(self.corners, places):
             z = np.sort(z, axis=1)
             pairs = z[:, 1::2] - z[:, 0 : z.shape[1] // 2 * 2 : 2]
             total[rows] = pairs.sum(axis=1)
-        return total.reshape(self.shape)
+        self.values = total.reshape(shape)
 
     @property
     def positive(self) -> np.ndarray:
@@ -615,10 +617,7 @@ def _sharp(corners, size: float):
     points where edges of several patches meet (m, 3) [m].
     """
     places = corners.reshape(-1, 3)
-    step = 1e-6 * np.ptp(places, axis=0).max()
-    _, first, at = np.unique(
-        np.round(places / step), axis=0, return_index=True, return_inverse=True
-    )
+    first, at = _coincident(places)
     edges, which, shared = _shared(face_edges(first[at].reshape(-1, 3)))
     order = np.argsort(which, kind="stable")
     pair = (order[shared[which[order]] == 2] // 3).reshape(-1, 2)

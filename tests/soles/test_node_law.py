@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_exo.errors import InputError
 from drake_exo.soles.contact.law import (
     ContactLaw,
     firmly_sticking,
@@ -102,8 +101,3 @@ def test_without_friction_nothing_is_tangential():
     T, D = project_with_derivative(_samples(), replace(EXACT, friction=0.0))
     assert (T[:, :2] == 0).all()
     assert (D[:, :2] == 0).all()
-
-
-def test_negative_friction_is_refused():
-    with pytest.raises(InputError, match="must not be negative"):
-        ContactLaw(-0.1, 1e4)

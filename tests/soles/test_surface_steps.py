@@ -193,7 +193,8 @@ def test_no_line_runs_through_the_edges_of_a_regular_mesh():
     for divisions in ((4, 3, 2), (6, 4, 1), (12, 8, 2)):
         thickness = steps._Thickness(_brick(divisions=divisions))
         x, y = (
-            thickness.low[k] + thickness.step * np.arange(thickness.shape[k])
+            thickness.low[k]
+            + thickness.step * np.arange(thickness.values.shape[k])
             for k in (0, 1)
         )
         inside = np.outer(np.abs(x) < 0.1, np.abs(y) < 0.04)

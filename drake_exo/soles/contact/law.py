@@ -41,17 +41,6 @@ class ContactLaw:
     layer: float = 0.0
     kappa: float = 0.0
 
-    def __post_init__(self):
-        if not self.friction >= 0:
-            raise InputError(
-                f"contact: friction {self.friction} must not be negative"
-            )
-        if min(self.layer, self.kappa) < 0 or not self.penalty > 0:
-            raise InputError(
-                "contact: layer and kappa must not be negative and the "
-                "penalty must be positive"
-            )
-
     @property
     def epsilon(self) -> float:
         """ε = r ℓ [N]."""
