@@ -20,7 +20,7 @@ from drake_exo.soles.contact.newton import (
 )
 from drake_exo.soles.numerics import njit
 
-_LOCAL_STEPS = 60
+_POSE_STEPS, _LOCAL_STEPS = 60, 60
 _WRENCH_TOLERANCE = 1e-10  # ε4, on the scaled wrench
 # λ of (25): sweeps as exact as that times the wrench's residual.
 _RELAXATION = 0.1
@@ -38,7 +38,7 @@ class GaussSeidelSolver(ContactSolver):
     def __init__(
         self, C, lP, law, sweep_tolerance: float = 1e-10, ground: Ground = FLAT
     ):
-        super().__init__(C, lP, law, max_iterations=60, ground=ground)
+        super().__init__(C, lP, law, ground=ground)
         self.sweep_tolerance = sweep_tolerance
         self.sweeps = 0
 
@@ -49,7 +49,7 @@ class GaussSeidelSolver(ContactSolver):
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
         self.sweeps = 0
         need = 0.0 if target.is_held else np.inf
-        for iteration in range(self.max_iterations):
+        for iteration in range(_POSE_STEPS):
             tolerance = max(self.sweep_tolerance, min(1e-3, _RELAXATION * need))
             while True:
                 change = self._sweeps(state, target, tolerance)
@@ -72,7 +72,7 @@ class GaussSeidelSolver(ContactSolver):
                 continue
             self._pose_step(state, point, target)
         return state, Convergence(
-            False, self.max_iterations, need, "pose Newton did not settle"
+            False, _POSE_STEPS, need, "pose Newton did not settle"
         )
 
     def _sweeps(self, state: State, target: Target, tolerance) -> float:

@@ -156,23 +156,22 @@ class Linearisation:
     Args:
         active: Active set with S; used at once, not kept beyond its update.
         law: Contact law.
-        R: Foot orientation.
-        arm, F: P_i − Z_des [m] and forces [N], world, (k, 3) each.
-        tau: Their τ = F − r δ, in the planes' axes [N], (k, 3).
-        axes: Of the planes that they meet, rows, (k, 3, 3).
+        point: What `ContactSolver` evaluates at the state, of all nodes: P_i −
+            Z_des [m] and forces [N], world, τ = F − r δ [N] in the axes of
+            the planes that they meet.
     """
 
-    def __init__(
-        self, active: ActiveSet, law: ContactLaw, R, arm, F, tau, axes
-    ):
+    def __init__(self, active: ActiveSet, law: ContactLaw, point):
         self.nodes, self.S = active.nodes, active.S
-        self.R, self.arm, self.F = R, arm, F
-        self.law, self.tau, self.axes = law, tau, axes
-        self.r = law.penalty
-        self.loose = np.flatnonzero(~firmly_sticking(tau, law))
+        self.law, self.r, self.R = law, law.penalty, point.state.R
+        self.arm, self.F, self.tau, self.axes = (
+            of_all[self.nodes]
+            for of_all in (point.arm, point.state.F, point.tau, point.axes)
+        )
+        self.loose = np.flatnonzero(~firmly_sticking(self.tau, law))
         self._g = node_dofs(self.loose)
         self.D, M = _law_matrix(
-            self.S, self.loose, tau, axes, R, law.penalty,
+            self.S, self.loose, self.tau, self.axes, self.R, self.r,
             law.friction, law.epsilon, law.kappa,
         )  # fmt: skip
         self._lu = None

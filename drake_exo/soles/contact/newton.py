@@ -95,7 +95,7 @@ def residual(P, F, Q, axes, zmp, r, mu, epsilon, kappa):
 _WHOLE, _SHIFT, _NOTHING = np.arange(6), np.arange(3), np.arange(0)
 _SIZES = np.repeat([1.0, 0.05], 3)  # [m]: moments count over 50 mm in norms
 _MAX_TURN, _MAX_SHIFT = 0.15, 0.01  # caps on one Newton step: rad, m
-_HALVINGS = 6
+_HALVINGS, _MOST_STEPS = 6, 20
 _ALIKE = 0.15  # merits of steps that go in circles
 
 
@@ -251,7 +251,6 @@ class ContactSolver:
         lP: Rest positions of the contact nodes, sole frame [m], (m, 3).
         law: The contact law.
         tolerance: On the scaled residual's largest entry.
-        max_iterations: Newton steps before giving up.
         ground: What it stands on.
     """
 
@@ -261,12 +260,10 @@ class ContactSolver:
         lP: np.ndarray,
         law: ContactLaw,
         tolerance: float = 1e-11,
-        max_iterations: int = 20,
         ground: Ground = FLAT,
     ):
         self.C, self.lP, self.law, self.ground = C, lP, law, ground
-        self.tolerance, self.max_iterations = tolerance, max_iterations
-        self.active = ActiveSet(C)
+        self.tolerance, self.active = tolerance, ActiveSet(C)
 
     @classmethod
     def of(cls, sole: Sole, law: ContactLaw, **options) -> "ContactSolver":
@@ -295,7 +292,7 @@ class ContactSolver:
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
         point, report = newton(
             self._evaluate(state, target, scale), improved,
-            self.tolerance, self.max_iterations,
+            self.tolerance, _MOST_STEPS,
         )  # fmt: skip
         if report.converged:
             point.state.F[~point.active] = 0.0
@@ -333,16 +330,7 @@ class ContactSolver:
         if not point.active.any():
             raise np.linalg.LinAlgError("no node in contact")
         self.active.update(np.flatnonzero(point.active))
-        nodes = self.active.nodes
-        return Linearisation(
-            self.active,
-            self.law,
-            point.state.R,
-            point.arm[nodes],
-            point.state.F[nodes],
-            point.tau[nodes],
-            point.axes[nodes],
-        )
+        return Linearisation(self.active, self.law, point)
 
     def _direction(self, point, target):
         """Newton step (dF, dzO, dω) at a point, inactive forces released."""
