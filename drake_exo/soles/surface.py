@@ -44,18 +44,14 @@ class MmgError(InputError):
     """Mmg is not installed, fails, or takes too long."""
 
 
-def run_mmg(
-    body: dict[str, np.ndarray], seconds: int
-) -> tuple[np.ndarray, np.ndarray]:
+def run_mmg(body: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Nodes (n, 3) and tetrahedra (e, 4) that Mmg makes of a body.
 
     Args:
         body: Its `nodes` and `tets` likewise, and either
             `level` (n,): cells are cut where it is zero, with `step` [m],
             their size;
-            `size` (n,) [m]: of the new elements' edges, with `gradation`,
-            the largest ratio of neighbouring ones.
-        seconds: Of processor time.
+            `size` (n,) [m]: of the new elements' edges.
 
     Raises:
         MmgError: There is no mesh.
@@ -63,7 +59,7 @@ def run_mmg(
     whole = io.BytesIO()
     np.savez(whole, **body)
     run = subprocess.run(
-        [sys.executable, "-m", __name__, str(seconds)],
+        [sys.executable, "-m", __name__],
         input=whole.getvalue(),
         capture_output=True,
         check=False,
@@ -102,8 +98,7 @@ def _remeshed(body) -> dict[str, np.ndarray]:
                 "tets": mesh.get_tetrahedra()[inside]}  # fmt: skip
     mesh.set_field("metric", body["size"][:, None])
     typical = float(np.median(body["size"]))
-    gradation = float(body["gradation"])
-    mesh.remesh(hgrad=gradation, hausd=0.1 * typical, verbose=-1)
+    mesh.remesh(hgrad=_GRADATION, hausd=0.1 * typical, verbose=-1)
     return {"nodes": mesh.get_vertices(), "tets": mesh.get_tetrahedra()}
 
 
@@ -114,7 +109,7 @@ _FOOT = (0.1, 0.45)  # longest side of a foot's sole [m]
 _FLAT = 2e-3  # of the longest side: faces of one flat top
 _GRID = 0.5  # of an element's size: cells that are cut
 _SECONDS = 120  # of processor time for Mmg
-_GRADATION = 1.3
+_GRADATION = 1.3  # largest ratio of neighbouring elements' sizes
 _FILL = 36.0  # tetrahedra that Mmg makes in the cube of an element's edge
 _SHARP = 0.77  # cosine between the normals beside a sharp edge: 40 degrees
 _PATCH = 4.0  # least area of a patch, in squares of a typical size
@@ -427,13 +422,12 @@ def _meshed(thickness: "_Thickness", top, flat: bool, tets: int):
     inside = thickness.inside(grid.nodes, flat * 0.01 * h)
     level = np.where(inside, -away, away)
     body = {"nodes": grid.nodes, "tets": grid.tets, "level": level, "step": h}
-    nodes, tets = run_mmg(body, _SECONDS)
+    nodes, tets = run_mmg(body)
     used, cells = np.unique(tets, return_inverse=True)
     nodes, cells = _onto(nodes[used], cells.reshape(-1, 4), corners, top, flat)
     size = share * thickness.at(nodes)
     size = np.maximum(size, 0.3 * np.median(size))
-    body = {"nodes": nodes, "tets": cells, "size": size}
-    mesh = run_mmg(body | {"gradation": _GRADATION}, _SECONDS)
+    mesh = run_mmg({"nodes": nodes, "tets": cells, "size": size})
     return _onto(*mesh, corners, top, flat)
 
 
@@ -660,8 +654,7 @@ if __name__ == "__main__":
     # What libraries print must not get between the arrays.
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    longest = int(sys.argv[1])
-    resource.setrlimit(resource.RLIMIT_CPU, (longest, longest))
+    resource.setrlimit(resource.RLIMIT_CPU, (_SECONDS, _SECONDS))
     try:
         found = _remeshed(np.load(io.BytesIO(sys.stdin.buffer.read())))
     except ImportError:

@@ -336,7 +336,7 @@ def _asked(monkeypatch, answers):
     """What Mmg is asked for, while it answers so."""
     asked, answers = [], list(answers)
 
-    def run(body, seconds):
+    def run(body):
         asked.append(body)
         mesh = answers.pop(0)
         return mesh.nodes, mesh.tets
@@ -379,7 +379,6 @@ def test_mmg_is_given_the_distance_and_the_size_of_elements(monkeypatch):
         assert 0.6 * h < np.diff(lines).min() <= np.diff(lines).max() < h
     np.testing.assert_allclose(cut["level"], _of_brick(grid), atol=1e-5)
     np.testing.assert_allclose(size["size"], edge)
-    assert size["gradation"] == 1.3
     # The answer's sides are moved onto the surface, the frame to its top.
     assert mesh.volume == pytest.approx(np.prod(SIZE), rel=1e-9)
     assert (mesh.nodes[mesh.fixed, 2] == 0).all()

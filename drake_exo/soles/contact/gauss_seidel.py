@@ -55,11 +55,10 @@ class GaussSeidelSolver(ContactSolver):
                 change = self._sweeps(state, target, tolerance)
                 point = self._evaluate(state, target, scale)
                 need = wrench_size(point.wrench) / scale
-                if tolerance <= self.sweep_tolerance:
-                    break
-                if tolerance <= _RELAXATION * need:
+                asked = max(self.sweep_tolerance, _RELAXATION * need)
+                if tolerance <= asked:
                     break  # (25): exact enough for this wrench
-                tolerance = max(self.sweep_tolerance, _RELAXATION * need)
+                tolerance = asked
             if change > tolerance:
                 said = "Gauss–Seidel sweeps did not settle"
                 return state, Convergence(False, iteration, need, said)
