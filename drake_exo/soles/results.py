@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -698,23 +699,39 @@ def strikes(setup: Setup) -> list[tuple[int, int]]:
     ]
 
 
-def sole_samples(source: Step | Path | str) -> tuple[np.ndarray, ...]:
+class SoleSamples(NamedTuple):
+    """A sole as a whole at the N samples that converged.
+
+    Attributes:
+        origin: Place of the sole frame [m], (N, 3).
+        rotation: Its orientation, (N, 3, 3).
+        force: Of the ground, upwards [N], (N,).
+        cop: Centre of pressure [m], (N, 2).
+        size: Length, width and depth of the sole below its frame [m], (3,).
+        middle: Of the sole in its frame, forward and left [m], (2,).
+        friction: Coulomb's coefficient μ.
+    """
+
+    origin: np.ndarray
+    rotation: np.ndarray
+    force: np.ndarray
+    cop: np.ndarray
+    size: np.ndarray
+    middle: np.ndarray
+    friction: float
+
+
+def sole_samples(source: Step | Path | str) -> SoleSamples:
     """What a step, or its folder, says of a sole as a whole.
 
     >>> import drake_exo as dx
     >>> step = dx.soles.Case.from_text(dx.soles.EXAMPLE).simulate()
-    >>> O, R, force, cop, size, middle, mu = dx.soles.sole_samples(step)
-    >>> O.shape, R.shape, force.shape, cop.shape, size.round(3).tolist()
-    ((5, 3), (5, 3, 3), (5,), (5, 2), [0.23, 0.13, 0.03])
+    >>> told = dx.soles.sole_samples(step)
+    >>> told.origin.shape, told.force.shape, told.size.round(3).tolist()
+    ((5, 3), (5,), [0.23, 0.13, 0.03])
 
     Args:
         source: A step, or the folder of `Step.write` or `Design.write`.
-
-    Returns:
-        Of samples that converged: place of the sole frame (N, 3) [m],
-        orientation (N, 3, 3), upward force (N,) [N], centre of pressure (N, 2)
-        [m]; and the sole's length, width, depth below the frame (3,) [m], its
-        middle in the frame, forward and left (2,) [m], and its friction μ.
 
     Raises:
         InputError: There is no such file, it is damaged, or of a version that
@@ -738,10 +755,12 @@ def sole_samples(source: Step | Path | str) -> tuple[np.ndarray, ...]:
     if history.friction is None:
         raise InputError(f"{name}: does not say the friction; {remedy}")
     up, P, nodes = history.F[good, :, 2], history.P[good], mesh.nodes
-    O, R = history.O[good], history.R[good]  # noqa: E741
     force = up.sum(axis=1)
     cop = np.einsum("qm,qmi->qi", up / force[:, None], P[:, :, :2])
     low, high = nodes.min(axis=0), nodes.max(axis=0)
     size = np.array([*(high - low)[:2], -low[2]])
     middle = 0.5 * (low + high)[:2]
-    return O, R, force, cop, size, middle, history.friction
+    return SoleSamples(
+        history.O[good], history.R[good], force, cop, size, middle,
+        history.friction,
+    )  # fmt: skip
