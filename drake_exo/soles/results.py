@@ -46,6 +46,7 @@ _ZMP_ERROR = 0.02  # metres
 _NEAR_SLIP = 0.95  # part of μ
 # Less force [N] and longer contact [s] are no step of a foot.
 _LIGHT, _LONG = 5.0, 20.0
+_APART = 0.5  # of the usual spacing more; a row that is missing makes it 1
 _UNDERCUT = 0.01  # part of the bare surface
 _LOST = 0.01  # part of a file's surface
 _COMPLEMENTARITY = 1e-6
@@ -119,6 +120,15 @@ def _notes(step):
     yield (
         "load_time", longest <= _LONG, longest, _LONG, "s",
         f"a contact lasts {longest:.3g} s; times are in s, not ms",
+    )  # fmt: skip
+    spans = [np.diff(load.times[phase]) for phase in load.phases]
+    apart = [float(s.max() / np.median(s) - 1.0) for s in spans if len(s)]
+    more = max(apart, default=0.0)
+    yield (
+        "load_spacing", more <= _APART, more, _APART, "",
+        f"samples are up to {1 + more:.3g} times as far apart as usual: what "
+        "is not there counts for nothing in c_tr and c_rot; put in the rows "
+        "that are missing, or give them evenly",
     )  # fmt: skip
     measured = load.is_measured
     if measured.any():

@@ -194,7 +194,7 @@ def test_a_simulation_ends_with_its_verdict(tmp_path, capsys):
         "solved", "plausibility.strain", "plausibility.tilt",
         "plausibility.stability", "plausibility.friction",
         "plausibility.undercut", "plausibility.load_force",
-        "plausibility.load_time", "contact",
+        "plausibility.load_time", "plausibility.load_spacing", "contact",
     }  # fmt: skip
     soft = EXAMPLE.replace("neoprene}", "neoprene, youngs_modulus_pa: 1.5e4}")
     code, summary = _simulate(tmp_path, soft)

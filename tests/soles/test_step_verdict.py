@@ -41,6 +41,7 @@ def _told(**changes):
         "force_z": [100.0, 300.0, 200.0],
         "times": [0.0, 0.1, 0.25],
         "pressed": 0.1,
+        "phases": [slice(0, 3)],
     } | changes
     step = SimpleNamespace(
         setup=SimpleNamespace(
@@ -48,7 +49,7 @@ def _told(**changes):
             load=SimpleNamespace(
                 is_measured=made["measured"],
                 force=np.transpose([[0.0] * 3, [0.0] * 3, made["force_z"]]),
-                times=np.array(made["times"]), phases=[slice(0, 3)],
+                times=np.array(made["times"]), phases=made["phases"],
             ),
         ),
         law=SimpleNamespace(friction=0.8),
@@ -165,6 +166,24 @@ def test_forces_in_kilonewtons_and_times_in_milliseconds_are_told():
     assert light.sentence.startswith("no vertical force is above 0.7 N")
     late = _told(times=[0.0, 100.0, 250.0])["plausibility.load_time"]
     assert not late.holds and "250 s" in late.sentence
+
+
+def test_rows_that_are_missing_are_told():
+    check = _told()["plausibility.load_spacing"]
+    assert check.holds and check.value == pytest.approx(0.15 / 0.125 - 1)
+    assert _told(times=[3.0])["plausibility.load_spacing"].value == 0.0
+    times = np.delete(0.005 * np.arange(40), 7)
+    check = _told(times=times, phases=[slice(0, 39)])[
+        "plausibility.load_spacing"
+    ]
+    assert not check.holds and check.level == "note"
+    assert check.value == pytest.approx(1.0) and check.limit == 0.5
+    assert "up to 2 times as far apart as usual" in check.sentence
+    # Several loads: what lies between them is no gap.
+    both = np.append(times[8:], 9.0 + 0.001 * np.arange(5))
+    phases = [slice(0, 31), slice(31, 36)]
+    told = _told(times=both, phases=phases)["plausibility.load_spacing"]
+    assert told.holds and told.value == pytest.approx(0.0, abs=1e-9)
 
 
 def _step(F, P, converged=None, ground=FLAT, zmp=None, measured=True):

@@ -208,7 +208,7 @@ class Design:
         names = [
             name
             for name, value in zip(self.problem.names(), values, strict=True)
-            if abs(value) < _ACTIVE
+            if value < _ACTIVE
         ]
         if self.shape.symmetric:
             names.append("symmetric")
