@@ -77,7 +77,8 @@ def softened(
     """The law's constants for a contact that gives a share of the usual depth.
 
     The defaults are for a heel pad that gives a centimetre: smoothing is in
-    proportion. Friction is Coulomb's: static and dynamic are the same.
+    proportion. Friction is Coulomb's, however fast the sole slips; below the
+    transition velocity this law has a slope without a viscous part, too.
     """
     usual = SimbodyConstants()
     return replace(
@@ -86,6 +87,7 @@ def softened(
         hertz_smoothing=usual.hertz_smoothing / share,
         static_friction=friction,
         dynamic_friction=friction,
+        viscous_friction=0.0,
     )
 
 

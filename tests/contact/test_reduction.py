@@ -10,7 +10,11 @@ import yaml
 from drake_exo import cli
 from drake_exo.contact import reduction
 from drake_exo.contact.diagram import build_diagram
-from drake_exo.contact.hunt_crossley import SimbodyConstants, sphere_force
+from drake_exo.contact.hunt_crossley import (
+    SimbodyConstants,
+    friction_coefficient,
+    sphere_force,
+)
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.reduction import (
     Samples,
@@ -74,8 +78,16 @@ def fit(samples, spheres, planar):
 
 
 def test_smoothing_of_a_centimetre_is_the_law_s_own():
-    assert softened(1.0) == SimbodyConstants()
+    usual = SimbodyConstants()
+    assert softened(1.0) == replace(usual, viscous_friction=0.0)
     assert softened(0.5).hertz_smoothing == 600.0
+
+
+def test_a_law_slips_at_the_sole_s_friction_however_fast():
+    force, constants = 300.0, softened(SHARE, 0.35)
+    for speed in (0.2, 2.0):
+        mu = friction_coefficient("simbody", speed, constants)
+        assert mu * force == pytest.approx(0.35 * force)
 
 
 @pytest.mark.slow
