@@ -25,7 +25,8 @@ from drake_exo.soles.mesh import SphericalSpline, brick
 from drake_exo.soles.optimize.adjoint import gradients, singular_terms
 from drake_exo.soles.optimize.limits import StrainNorm
 from drake_exo.soles.optimize.optimizer import minimise
-from drake_exo.soles.optimize.search import first_design, stage_problem
+from drake_exo.soles.optimize.problem import ShapeProblem
+from drake_exo.soles.optimize.search import first_design
 from drake_exo.soles.settings import Setup, Stage
 from drake_exo.soles.simulation import heel_strike_count, simulate
 from drake_exo.soles.walking_pattern import Robot
@@ -138,7 +139,7 @@ def optimisation(load):
     bounds = tuple(settings.optimize.bounds)
     for stage in (Stage((10, 6, 3), 24, 3e-4, 0.2, 10),
                   Stage((14, 8, 4), 60, 3e-5, 0.2, 5)):  # fmt: skip
-        problem = stage_problem(setup, stage)
+        problem = ShapeProblem(setup, stage)
         p = first_design(problem, bounds)
         best, seconds = timed(
             lambda q=problem, x=p, n=stage.iterations: minimise(q, x, bounds, n)

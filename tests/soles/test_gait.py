@@ -8,7 +8,7 @@ from undrawn import undrawn
 
 from drake_exo import cli
 from drake_exo.soles.case import EXAMPLE, Case
-from drake_exo.soles.optimize.search import stage_problem
+from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.walking_pattern import Gait, Robot, plan, smooth_share
 
 FREE = ("step_length", "step_time", "double_support", "zmp")
@@ -161,7 +161,7 @@ def test_slopes_of_a_walk_agree_with_wider_differences(back_m):
 def test_slopes_agree_with_differences():
     """Of cost and all limits by shape and walk, through plan and simulation."""
     case = Case.from_text(_case())
-    problem = stage_problem(case, case.settings.optimize.stages[0])
+    problem = ShapeProblem(case, case.settings.optimize.stages[0])
     bounds = problem.within((0.3, 1.4))
     own = problem.spline.count
     np.testing.assert_array_equal(bounds[:, 0], [0.3, 1.4])
@@ -190,7 +190,7 @@ def test_slopes_agree_with_differences():
 def test_the_worst_of_a_walk_counts():
     """Little more than the least of each limit's samples."""
     case = Case.from_text(_case())
-    problem = stage_problem(case, case.settings.optimize.stages[0])
+    problem = ShapeProblem(case, case.settings.optimize.stages[0])
     least = [
         limit.min() for limit in case.gait.limits(case.gait.start).values()
     ]
@@ -202,7 +202,7 @@ def test_the_worst_of_a_walk_counts():
 def test_what_cannot_be_simulated_has_no_limits():
     """A shape of nothing; a step of 10 m, which no ZMP carries."""
     case = Case.from_text(_case())
-    problem = stage_problem(case, case.settings.optimize.stages[0])
+    problem = ShapeProblem(case, case.settings.optimize.stages[0])
     own, length = problem.spline.count, next(iter(case.gait.ranges))
     assert length == "step_length"
     for place, value in ((slice(own), 0.0), (own, 100.0)):

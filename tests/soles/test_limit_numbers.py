@@ -19,7 +19,8 @@ from drake_exo.soles.optimize.limits import (
     active_limits,
     soft_minimum,
 )
-from drake_exo.soles.optimize.search import nearest_allowed, stage_problem
+from drake_exo.soles.optimize.problem import ShapeProblem
+from drake_exo.soles.optimize.search import nearest_allowed
 
 NAMES = ["volume", "elements", "depth", "height", "draft_deg", "stability",
          "tilt_deg", "strain", "c_rot"]  # fmt: skip
@@ -41,7 +42,7 @@ def problem():
     zmp = load.zmp + np.array([[0.0, 0.0], [0.02, -0.01]])
     load = replace(load, force=load.force * [[1.0], [1.4]], zmp=zmp)
     setup = replace(case, settings=settings, load=load)
-    return stage_problem(setup, settings.optimize.stages[0])
+    return ShapeProblem(setup, settings.optimize.stages[0])
 
 
 @pytest.fixture(scope="module")

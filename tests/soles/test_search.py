@@ -15,11 +15,11 @@ from drake_exo.soles.optimize import search
 from drake_exo.soles.optimize.files import Checkpoint, read_checkpoint
 from drake_exo.soles.optimize.limits import limits_of
 from drake_exo.soles.optimize.optimizer import Optimum
+from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.optimize.search import (
     first_design,
     settle,
     stage_mesh,
-    stage_problem,
     start_design,
 )
 from drake_exo.soles.results import Step
@@ -35,7 +35,7 @@ def case():
 
 @pytest.fixture(scope="module")
 def problem(case):
-    return stage_problem(case, case.settings.optimize.stages[0])
+    return ShapeProblem(case, case.settings.optimize.stages[0])
 
 
 def test_limits_are_those_of_the_case(case):
@@ -296,7 +296,7 @@ def test_a_stage_limits_the_largest_strain_itself(case, monkeypatch):
         return Optimum(p, -0.5, trace=[(0, -0.5, 0.0, 0.1)])
 
     monkeypatch.setattr(search, "minimise", minimise)
-    plain = stage_problem(setup, stage)
+    plain = ShapeProblem(setup, stage)
     p = first_design(plain, BOUNDS)
     step = Step.by_exact_law(
         setup, setup.sole(plain.deformed(p)), plain.law.penalty
@@ -343,16 +343,16 @@ def _fake_run(number, p, cost, violation=0.0):
 def test_starts_are_compared_on_a_finer_mesh(case):
     """Of at least twice the tets; what turns over there has no cost."""
     stage = replace(case.settings.optimize.stages[0], divisions=(4, 3, 2))
-    problem = stage_problem(case, stage)
+    problem = ShapeProblem(case, stage)
     p = start_design(problem, BOUNDS, 1)
-    finer = stage_problem(case, replace(stage, divisions=(5, 4, 3)))
+    finer = ShapeProblem(case, replace(stage, divisions=(5, 4, 3)))
     own = finer.cost(p) - finer.regularization(p)[0]
     own *= finer.scales[0] / problem.scales[0]
     found = problem.cost_on_finer(p) - problem.regularization(p)[0]
     assert found == pytest.approx(own, rel=1e-9)
     assert problem.cost_on_finer(-p) is None
     # It stays itself.
-    again = stage_problem(case, stage)
+    again = ShapeProblem(case, stage)
     assert problem.cost(p) == again.cost(p) != problem.cost_on_finer(p)
     # Feasible first, then by that, one without behind the others.
     rows = [(2.0, 0.0, 1.1), (1.0, 0.0, 1.2), (0.5, 0.0, None), (0.1, 0.5, 0.1)]
@@ -368,7 +368,7 @@ def test_a_mesh_too_large_for_a_finer_one_is_not_compared(case, monkeypatch):
     most = 8 * len(case.mesh.tets)
     for limit, has_cost in ((most, True), (most - 1, False)):
         monkeypatch.setattr(settings, "_MOST", limit)
-        problem = stage_problem(case, stage)
+        problem = ShapeProblem(case, stage)
         found = problem.cost_on_finer(first_design(problem, BOUNDS))
         assert (found is not None) is has_cost
 
@@ -416,7 +416,7 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
     monkeypatch.setattr(search, "verified", verified)
     monkeypatch.setattr(search, "_scale", scale)
     monkeypatch.setattr(
-        search, "stage_problem",
+        search, "ShapeProblem",
         lambda setup, stage: SimpleNamespace(stage=stage, scaled=None),
     )  # fmt: skip
     monkeypatch.setattr(search, "time", SimpleNamespace(
@@ -474,7 +474,7 @@ def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
     stages = 2 * case.settings.optimize.stages
     setup = case.optimizing(stages=stages, starts=3)
     _, at = search.from_start(setup, 2, 0, None, None, said.append)
-    problem = stage_problem(case, case.settings.optimize.stages[0])
+    problem = ShapeProblem(case, case.settings.optimize.stages[0])
     bounds = tuple(case.settings.optimize.bounds)
     wanted = start_design(problem, bounds, 2)
     np.testing.assert_array_equal(asked[0].p, wanted)
@@ -530,7 +530,7 @@ def test_the_better_of_a_sole_with_its_walk_and_alone(
 ):
     """Told beside c of the sole that was found for the case's own walk."""
     setup, asked = _walking("[step_length, step_time]"), []
-    problem = stage_problem(setup, setup.settings.optimize.stages[0])
+    problem = ShapeProblem(setup, setup.settings.optimize.stages[0])
     x = setup.gait.start + np.array([0.0, -0.2])
     coefficients = np.full(problem.spline.count, 0.9)
 

@@ -20,7 +20,7 @@ from drake_exo.soles.mesh import SphericalSpline, brick, read_mesh
 from drake_exo.soles.optimize.files import read_checkpoint
 from drake_exo.soles.optimize.optimizer import minimise
 from drake_exo.soles.optimize.problem import ShapeProblem
-from drake_exo.soles.optimize.search import first_design, stage_problem
+from drake_exo.soles.optimize.search import first_design
 from drake_exo.soles.settings import Settings
 from drake_exo.soles.walking_pattern import Robot
 
@@ -189,7 +189,7 @@ def test_multipliers_and_complementarity_are_those_of_an_optimum(
     folder, tmp_path
 ):
     case = _smooth_case(folder, tmp_path)
-    problem = stage_problem(case, case.settings.optimize.stages[0])
+    problem = ShapeProblem(case, case.settings.optimize.stages[0])
     p = first_design(problem, (0.3, 1.4))
     best = minimise(problem, p, (0.3, 1.4), 200)
     assert best.optimal

@@ -8,7 +8,6 @@ rejected step; so is a first contact on another branch of poses.
 
 from copy import copy
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -38,7 +37,6 @@ from drake_exo.soles.simulation import (
     simulate,
     touches_elsewhere,
 )
-from drake_exo.soles.walking_pattern import Gait
 
 _ELEMENT_SHARPNESS = 200.0
 _WORST_SHARPNESS = 40.0  # of the largest of some loads' costs
@@ -52,7 +50,10 @@ _BEND = 0.1  # difference of a node from its neighbours that counts one
 
 
 class ShapeProblem:
-    """Minimise c_tr − w c_rot over shapes in one stage.
+    """Minimise c_tr − w c_rot over shapes, or shape and walk, in one stage.
+
+    A design is the spline's k free coefficients, then the walk's G numbers,
+    each from 0 to 1 in its range; none where the step stays, P = k + G.
 
     Attributes:
         setup: The initial shape, its step, cost and limits.
@@ -60,6 +61,7 @@ class ShapeProblem:
             frozen; `picked` samples are simulated and weighted so that sums
             stand for all.
         finer: A finer mesh; None where it had too many elements.
+        gait: What of the walk is sought with it; None: the step stays.
         branch: History of the last accepted design.
         first: The initial shape, for the scales.
     """
@@ -76,6 +78,8 @@ class ShapeProblem:
         self.mesh, self.spline = stage_mesh(setup.mesh, stage), setup.spline()
         self.stage, self.finer = stage, finer_mesh(setup.mesh, stage)
         self.load, self.limits = setup.load, limits_of(setup.settings)
+        self.gait = setup.gait
+        self._own_walk = self.gait.start if self.gait else np.zeros(0)
         block, cost = self.settings.optimize, self.settings.cost
         self.weight = cost.weight
         self.roughness = block.roughness * stage.roughness
@@ -112,24 +116,29 @@ class ShapeProblem:
 
     @property
     def undeformed(self) -> np.ndarray:
-        """The design that is the initial shape, (P,)."""
-        return np.ones(self.spline.count)
+        """The design that is the initial shape in its own walk, (P,)."""
+        return np.append(np.ones(self.spline.count), self._own_walk)
 
     def within(self, bounds: tuple[float, float]) -> np.ndarray:
         """Bounds of a design, (2, P), of those of a coefficient."""
-        return np.outer(bounds, np.ones(self.spline.count))
+        shape = np.outer(bounds, np.ones(self.spline.count))
+        walk = np.outer((0.0, 1.0), np.ones(len(self._own_walk)))
+        return np.hstack([shape, walk])
+
+    def _split(self, p) -> tuple[np.ndarray, np.ndarray]:
+        return np.split(p, [self.spline.count])
 
     def load_of(self, p: np.ndarray) -> Load:
-        """All samples of a design's step."""
-        return self.load
+        """All samples of a design's step.
 
-    def shape_of(self, p: np.ndarray) -> np.ndarray:
-        """The coefficients in a design, (k,)."""
-        return p
+        Raises:
+            InputError: There is no such walk.
+        """
+        return self.gait.load(self._split(p)[1]) if self.gait else self.load
 
     def stretch(self, p: np.ndarray) -> np.ndarray:
         """Factor s at every node of the reference mesh (n,)."""
-        return self.M @ self.shape_of(p) + self.s0
+        return self.M @ self._split(p)[0] + self.s0
 
     def deformed(self, p: np.ndarray) -> TetMesh:
         """The mesh of a design; elements may be inverted."""
@@ -154,7 +163,10 @@ class ShapeProblem:
         solver = ContactSolver.of(
             sole, self.law, tolerance=1e-12, ground=self.setup.ground
         )
-        load = self.load_of(p).at(self.picked)
+        try:
+            load = self.load_of(p).at(self.picked)
+        except InputError:  # there is no such walk
+            return None
         history = simulate(
             solver,
             load,
@@ -225,7 +237,8 @@ class ShapeProblem:
         rigid = [
             name for name, *_ in self.shape_limits(self.undeformed, self.mesh)
         ]
-        return rigid + list(self.limited)
+        walk = self.gait.limits(self._own_walk) if self.gait else ()
+        return [*rigid, *self.limited, *walk]
 
     def shape_limits(
         self, p: np.ndarray, mesh: TetMesh
@@ -239,7 +252,7 @@ class ShapeProblem:
         others = self.surface.evaluate(mesh)
         return [
             ("volume", left, -slope),
-            ("elements", *self._elements(self.shape_of(p))),
+            ("elements", *self._elements(self._split(p)[0])),
             *((name, value, by(X)) for name, value, X in others),
         ]
 
@@ -250,7 +263,14 @@ class ShapeProblem:
             return np.full(len(self.names()), np.nan)
         values = [value for _, value, _ in self.shape_limits(p, e.sole.mesh)]
         values += [limit(e)[0] for limit in self.limited.values()]
+        if self.gait:
+            values += self._worst(self.gait.limits(self._split(p)[1]))[0]
         return np.array(values)
+
+    def _worst(self, limits: dict[str, np.ndarray]):
+        """The least of each of the walk's limits; shares of their samples."""
+        pairs = [soft_minimum(x, _WALK_SHARPNESS) for x in limits.values()]
+        return tuple(map(list, zip(*pairs, strict=True)))
 
     def accept(self, p: np.ndarray) -> None:
         """Take a design as accepted: later ones stay on its branch."""
@@ -264,9 +284,22 @@ class ShapeProblem:
         """Gradient of the cost (P,) and Jacobian of the constraints.
 
         The regularization is left out: its derivatives are known exactly,
-        see `regularization`.
+        see `regularization`. By the walk through the adjoint by force and ZMP,
+        and through the plan.
         """
-        return self._derivatives(p)[:2]
+        gradient, rows, by_load = self._derivatives(p)
+        if not self.gait:
+            return gradient, rows
+        walk = self._split(p)[1]
+        loads, limits = self.gait.slopes(walk)
+        _, shares = self._worst(self.gait.limits(walk))
+        own = np.array(list(map(np.matmul, shares, limits.values())))
+        by_walk = np.einsum("fnk,gnk->fg", by_load, loads[:, self.picked])
+        others = np.zeros((len(rows) + 1 - len(by_walk), len(walk)))
+        shape = np.zeros((len(own), self.spline.count))
+        return np.concatenate([gradient, by_walk[0]]), np.block(
+            [[rows, np.concatenate([others, by_walk[1:]])], [shape, own]]
+        )
 
     def _derivatives(self, p) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same by the shape, and `by_load`."""
@@ -288,11 +321,12 @@ class ShapeProblem:
     def regularization(self, p: np.ndarray):
         """Of the shape: value, gradient (P,), Hessian (P, P)."""
         d, d0 = self._bends
-        bend, factor = d @ p + d0, self.roughness / len(d)
+        shape, walk = self._split(p)
+        bend, factor = d @ shape + d0, self.roughness / len(d)
         return (
             factor * float(bend @ bend),
-            2 * factor * (d.T @ bend),
-            2 * factor * (d.T @ d),
+            np.pad(2 * factor * (d.T @ bend), (0, len(walk))),
+            np.pad(2 * factor * (d.T @ d), (0, len(walk))),
         )
 
     @property
@@ -300,11 +334,12 @@ class ShapeProblem:
         """Sobolev's H² metric of shapes, (P, P): smooth changes are near.
 
         A search that measures its first steps by it bends before it wrinkles,
-        and finds smoother optima.
+        and finds smoother optima. A walk's range is as far as a coefficient's.
         """
         bends = self._bends[0].T @ self._bends[0]
         largest = np.linalg.eigvalsh(bends)[-1]
-        return np.eye(len(bends)) + _ROUGHEST * bends / largest
+        shape = np.eye(len(bends)) + _ROUGHEST * bends / largest
+        return block_diag(shape, np.eye(len(self._own_walk)))
 
     def _elements(self, coefficients) -> tuple[float, np.ndarray]:
         """Least quality of the elements above its floor, and its slope.
@@ -349,89 +384,6 @@ class _Elements:
         """Derivatives of Σ share · quality by the coefficients, (k,)."""
         X = self._moved(p).quality_gradient(share / self._rest)
         return self.basis[0].T @ (X * self._mesh.nodes).sum(axis=1)
-
-
-class WalkProblem(ShapeProblem):
-    """A shape and its walk: after the coefficients the walk's numbers."""
-
-    @cached_property
-    def gait(self) -> Gait:
-        """What of the walk may change, from 0 to 1."""
-        return self.setup.gait
-
-    @property
-    def undeformed(self) -> np.ndarray:
-        """The design that is the initial shape in its own walk, (P,)."""
-        return np.concatenate([super().undeformed, self.gait.start])
-
-    def within(self, bounds: tuple[float, float]) -> np.ndarray:
-        """Bounds of a design, (2, P), of those of a coefficient."""
-        walk = np.outer((0.0, 1.0), np.ones(len(self.gait.start)))
-        return np.hstack([super().within(bounds), walk])
-
-    def _split(self, p) -> tuple[np.ndarray, np.ndarray]:
-        return np.split(p, [self.spline.count])
-
-    def load_of(self, p: np.ndarray) -> Load:
-        """All samples of a design's step."""
-        return self.gait.load(self._split(p)[1])
-
-    def _simulate(self, p):
-        try:
-            return super()._simulate(p)
-        except InputError:  # there is no such walk
-            return None
-
-    def shape_of(self, p: np.ndarray) -> np.ndarray:
-        """The coefficients in a design, (k,)."""
-        return self._split(p)[0]
-
-    def names(self) -> list[str]:
-        """Names of the constraints, each to be at least 0."""
-        return super().names() + list(self.gait.limits(self.gait.start))
-
-    def constraints(self, p: np.ndarray) -> np.ndarray:
-        """Scaled constraint values, feasible where >= 0."""
-        values = super().constraints(p)
-        if np.isfinite(values).all():
-            own, _ = self._worst(self.gait.limits(self._split(p)[1]))
-            values = np.concatenate([values, own])
-        return values
-
-    def _worst(self, limits: dict[str, np.ndarray]):
-        """The least of each of the walk's limits; shares of their samples."""
-        pairs = [soft_minimum(x, _WALK_SHARPNESS) for x in limits.values()]
-        return zip(*pairs, strict=True)
-
-    def derivatives(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient of the cost (P,) and Jacobian of the constraints.
-
-        By the walk through the adjoint by force and ZMP, and through the plan.
-        """
-        gradient, rows, by_load = self._derivatives(p)
-        walk = self._split(p)[1]
-        loads, limits = self.gait.slopes(walk)
-        _, shares = self._worst(self.gait.limits(walk))
-        own = np.array(list(map(np.matmul, shares, limits.values())))
-        by_walk = np.einsum("fnk,gnk->fg", by_load, loads[:, self.picked])
-        others = np.zeros((len(rows) + 1 - len(by_walk), len(walk)))
-        shape = np.zeros((len(own), self.spline.count))
-        return np.concatenate([gradient, by_walk[0]]), np.block(
-            [[rows, np.concatenate([others, by_walk[1:]])], [shape, own]]
-        )
-
-    def regularization(self, p: np.ndarray):
-        """Of the shape: value, gradient (P,), Hessian (P, P)."""
-        p, walk = self._split(p)
-        value, gradient, hessian = super().regularization(p)
-        none = np.zeros((len(walk), len(walk)))
-        gradient = np.concatenate([gradient, np.zeros(len(walk))])
-        return value, gradient, block_diag(hessian, none)
-
-    @property
-    def metric(self) -> np.ndarray:
-        """As a shape's; a walk's range is as far as a coefficient's."""
-        return block_diag(super().metric, np.eye(len(self.gait.start)))
 
 
 def sample_weights(load: Load, samples: int | None, fraction: float):

@@ -48,7 +48,7 @@ from drake_exo.soles.optimize.optimizer import (
     QuasiNewton,
     minimise,
 )
-from drake_exo.soles.optimize.problem import ShapeProblem, WalkProblem
+from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.results import Step
 from drake_exo.soles.settings import Setup, Stage, stage_mesh
 from drake_exo.soles.walking_pattern import Robot
@@ -61,11 +61,6 @@ _STRAIN_AIM = 0.98
 _ROOM = 0.01  # of limits at the start
 # Bends drawn until one can be simulated, then smaller ones.
 _TRIES, _SIZES = 20, (1.0, 0.5, 0.25)
-
-
-def stage_problem(setup: Setup, stage: Stage) -> ShapeProblem:
-    """The shape problem of one stage."""
-    return (WalkProblem if setup.gait else ShapeProblem)(setup, stage)
 
 
 @dataclass
@@ -302,7 +297,7 @@ def finished(setup: Setup, found: Found, say) -> Design:
 def _verified(setup: Setup, found: Found) -> Design:
     """Where a search stands, beside the limits of its last stage."""
     stages = setup.settings.optimize.stages
-    problem = stage_problem(setup, stages[-1])
+    problem = ShapeProblem(setup, stages[-1])
     if len(stages) > 1:
         _scale(problem, found.at)
     seconds = [best.seconds for best in found.optima]
@@ -377,7 +372,7 @@ def from_start(
             multipliers=at.multipliers, cost_finer=row.get("cost_finer"),
         )  # fmt: skip
         return done, at
-    problem = stage_problem(setup, block.stages[number])
+    problem = ShapeProblem(setup, block.stages[number])
     if at is None:
         bounds = problem.within(block.bounds)
         p = nearest_allowed(
@@ -452,7 +447,7 @@ def _scale(problem: ShapeProblem, at: Checkpoint) -> None:
 def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
     """One stage from where it stands; the optimum, where to go on."""
     began, block = time.perf_counter(), setup.settings.optimize
-    problem = problem or stage_problem(setup, block.stages[number])
+    problem = problem or ShapeProblem(setup, block.stages[number])
     at.check_fits(problem)
     if number:
         if at.iteration == 0 and "strain" in problem.limits:
@@ -608,7 +603,7 @@ def pareto_front(
             hessian_approximation=approximation,
         )  # fmt: skip
 
-    problem = stage_problem(free, stages[0])
+    problem = ShapeProblem(free, stages[0])
     p = nearest_allowed(problem, bounds, first_design(problem, bounds))
     if problem.evaluate(p) is None:
         raise InputError(
@@ -622,7 +617,7 @@ def pareto_front(
     points, found = [] if points is None else points, []
     approximation = QuasiNewton(problem.metric)
     for floor in sorted(floors):
-        problem = stage_problem(alone, stages[1])
+        problem = ShapeProblem(alone, stages[1])
         problem.limited["c_rot"] = partial(
             rotation_limit, least=_AIM * floor * problem.first.c_rot,
             by_rot=problem.by_rot,
