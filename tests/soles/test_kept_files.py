@@ -77,6 +77,11 @@ def test_starts_that_were_interrupted_are_found_by_their_number(tmp_path):
     assert there == [0, 2, 11]
     for number in there:
         _assert_same(found.begun[number], _checkpoint(number))
+    # Of the best of them nothing is begun, of the sole alone its walks are.
+    at = _checkpoint()
+    for alone, count in ((None, 0), (at.p, 12), (at.p[1:], 0)):
+        replace(at, alone=alone).write(tmp_path)
+        assert len(read_checkpoint(tmp_path).begun) == count
 
 
 @pytest.mark.parametrize(

@@ -656,6 +656,20 @@ def test_walks_begin_with_the_sole_for_the_case_s_own(monkeypatch):
     setup.optimize(resume=replace(at, alone=alone))
     assert [row[0] for row in given] == [*[1] * 8, 2]
     np.testing.assert_array_equal(given[0][1], np.append(alone, own))
+    # Nor are walks that have ended; one that was interrupted goes on.
+    given.clear()
+    at = replace(at, alone=alone)
+    row = {"stage": 2, "cost": -1.0, "violation": 0.0}
+    p = np.append(alone, own)
+    begun = [
+        Checkpoint(1, 2, p + 0.01 * k, p + 0.01 * k, alone=alone, starts=rows)
+        for k, rows in enumerate([(row,), ()])
+    ]
+    setup.optimize(resume=replace(at, begun=(begun[0], None, begun[1])))
+    assert [row[0] for row in given] == [*[1] * 7, 2]
+    np.testing.assert_array_equal(given[0][1][-1:], setup.gait.walk(1))
+    np.testing.assert_array_equal(given[1][1], begun[1].p)
+    np.testing.assert_array_equal(given[-1][1], p)  # the best of all
     with pytest.raises(InputError, match=f"{len(alone) - 1} coefficients"):
         setup.optimize(resume=replace(design.at, alone=alone[1:]))
     with pytest.raises(InputError, match="of other settings"):

@@ -40,8 +40,9 @@ class Checkpoint:
             led to.
         alone: Of a walk that is sought the coefficients of the sole that was
             found for the case's own one (k,).
-        begun: Checkpoints of starts that were interrupted, None for those
-            that had none; then there is no p yet.
+        begun: Checkpoints of starts, or then of walks, that were tried, None
+            for those that had none; of a run there is no p before its starts
+            have ended.
         case: Its name; "" where a file of an earlier version does not say.
         key: `Setup.key` of what is searched; "" likewise.
     """
@@ -59,6 +60,11 @@ class Checkpoint:
     begun: tuple["Checkpoint | None", ...] = ()
     case: str = ""
     key: str = ""
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether it is of the sole alone, its walks still to be tried."""
+        return self.alone is not None and len(self.p) == len(self.alone)
 
     def check(self) -> None:
         """Raises ValueError unless all of it is what a run writes."""
@@ -128,7 +134,7 @@ class Checkpoint:
 
 
 def start_folder(out: Path | None, start: int) -> Path | None:
-    """Where a start keeps its checkpoint while the first stage runs."""
+    """Where a start, or walk, keeps its checkpoint while others are tried."""
     return None if out is None else out / f"start_{start}"
 
 
@@ -140,15 +146,14 @@ def read_checkpoint(path: Path) -> Checkpoint:
     """
     file = path / CHECKPOINT if path.is_dir() else path
     starts = sorted(path.glob("start_*")) if path.is_dir() else []
+    begun = {
+        int(start.name.partition("_")[2]): read_checkpoint(start)
+        for start in starts
+        if (start / CHECKPOINT).exists()
+    }
+    begun = tuple(map(begun.get, range(max(begun, default=-1) + 1)))
     if starts and not file.exists():
-        begun = {
-            int(start.name.partition("_")[2]): read_checkpoint(start)
-            for start in starts
-            if (start / CHECKPOINT).exists()
-        }
-        count = max(begun, default=-1) + 1
-        known = next(iter(begun.values()), Checkpoint())
-        begun = tuple(begun.get(k) for k in range(count))
+        known = next(filter(None, begun), Checkpoint())
         return Checkpoint(begun=begun, case=known.case, key=known.key)
     remedy = "give the folder of an interrupted run"
     data = read_json(file, remedy)
@@ -176,6 +181,8 @@ def read_checkpoint(path: Path) -> Checkpoint:
             key=str(data.get("key", "")),
         )
         found.check()
+        if found.is_alone:  # what is begun are its walks
+            found = replace(found, begun=begun)
     except (ValueError, KeyError, TypeError, OverflowError):
         raise InputError(f"{file}: not a checkpoint; {remedy}") from None
     return found

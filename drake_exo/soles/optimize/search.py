@@ -109,8 +109,9 @@ def optimise(
 ) -> Design:
     """Run the case's stages, as `Case.optimize` says.
 
-    While starts are searched each has a folder below `out`; `bends` is the
-    shape of each, see `start_design`, by default the brick and the first bends.
+    While starts, or walks, are tried each has a folder below `out`; `bends` is
+    the shape of each start, see `start_design`, by default the brick and the
+    first bends.
     """
     began = time.perf_counter()
     if resume is not None:  # it may end before there is another checkpoint
@@ -183,13 +184,14 @@ def search_jobs(
     if at.alone is None:
         jobs.append(add("last stage", go_on, jobs, at=at, is_alone=True))
     walks, count = [], block.starts * _WALKS
-    if at.alone is None or len(at.p) == len(at.alone):
+    if at.alone is None or at.is_alone:
+        begun = chain(at.begun if at.is_alone else (), repeat(None))
         walks = [
             add(
                 f"walk {number + 1}", in_walk, jobs[-1:], setup=setup, at=at,
-                number=number, count=count,
+                number=number, count=count, begun=begun_in,
             )
-            for number in range(count)
+            for number, begun_in in enumerate(islice(begun, count))
         ]  # fmt: skip
     last = add("with its walk", go_on, walks, setup=setup, at=at)
     return [*jobs, *walks, last]
@@ -225,27 +227,35 @@ def race(
 
 
 def in_walk(
-    setup: Setup, out, at: Checkpoint, number: int, count: int, say, before=()
+    setup: Setup,
+    out,
+    at: Checkpoint,
+    number: int,
+    count: int,
+    begun,
+    say,
+    before=(),
 ) -> Found:
     """The last stage but one, from the sole alone in one of several walks.
 
     Sole and walk move together. `before` is what the sole alone has come to,
-    or else `at` has it. Nothing is kept in `out`.
+    or else `at` has it; `begun` is where the walk was interrupted, if it was.
     """
     alone = None
     if before:
         (alone,) = before.values()
         at = alone.at
     stage = max(len(setup.settings.optimize.stages) - 2, 0)
-    p = np.append(at.alone, setup.gait.walk(number))
-    at = Checkpoint(
-        stage, p=p, latest=p, case=setup.name, key=setup.key, alone=at.alone
-    )
+    if begun is None:
+        p = np.append(at.alone, setup.gait.walk(number))
+        begun = Checkpoint(
+            stage, p=p, latest=p, case=setup.name, key=setup.key, alone=at.alone
+        )
     ended = from_start(
-        setup, 0, stage, at, None,
+        setup, 0, stage, begun, start_folder(out, number),
         lambda line: say(f"walk {number + 1}/{count}, {line}"),
     )  # fmt: skip
-    return Found([], at, start=number, alone=alone).after(*ended)
+    return Found([], begun, start=number, alone=alone).after(*ended)
 
 
 def _racers(before) -> list[Found]:
@@ -364,9 +374,9 @@ def from_start(
     checkpoint, None for none.
     """
     began, block = time.perf_counter(), setup.settings.optimize
-    if at is not None and len(at.starts) > number:
+    rows = {} if at is None else {r.get("stage", 1): r for r in at.starts}
+    if row := rows.get(number + 1):
         # Finished before an interruption.
-        row = at.starts[number]
         done = Optimum(
             at.p, row["cost"], violation=row["violation"], stage=number,
             multipliers=at.multipliers, cost_finer=row.get("cost_finer"),
