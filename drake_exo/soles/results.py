@@ -228,9 +228,9 @@ class Step:
         """Simulate a case by the contact law and method that it asks for."""
         began = time.perf_counter()
         sole = setup.sole()
-        law = setup.law(sole)
+        r = sole.penalty
         ready = time.perf_counter()
-        step = cls._simulated(setup, sole, law, progress)
+        step = cls.by_exact_law(setup, sole, r, progress)
         step.seconds = {
             "condensation_seconds": round(ready - began, 4),
             "simulation_seconds": round(time.perf_counter() - ready, 4),
@@ -238,14 +238,14 @@ class Step:
         return step
 
     @classmethod
-    def by_exact_law(cls, setup: Setup, sole: Sole, r: float) -> "Step":
-        """Simulate a sole by the exact law, with the law's scale r [N/m]."""
-        law = ContactLaw(setup.settings.contact.friction, r)
-        return cls._simulated(setup, sole, law)
+    def by_exact_law(
+        cls, setup: Setup, sole: Sole, r: float, progress=None
+    ) -> "Step":
+        """Simulate a sole by the exact law, with the law's scale r [N/m].
 
-    @classmethod
-    def _simulated(cls, setup, sole, law, progress=None) -> "Step":
-        """By the case's method; again where further nodes get to the ground."""
+        By the case's method; again where further nodes get to the ground.
+        """
+        law = ContactLaw(setup.settings.contact.friction, r)
         kinds = {"newton": ContactSolver, "gauss_seidel": GaussSeidelSolver}
         kind = kinds[setup.settings.contact.method]
 
@@ -660,6 +660,14 @@ class Step:
                 save_figure(folder / f"{name}.png", figure, mark)
         self.write_animation(folder / "animation.html", mark)
 
+    def write_tables(self, table: Path, history: Path) -> None:
+        """Write what there is of every sample."""
+        write_csv(table, self.table())
+        write_history(
+            history, self.sole.mesh, self.times, self.history,
+            self.setup.ground,
+        )  # fmt: skip
+
     def write(
         self,
         folder: Path | str,
@@ -678,19 +686,14 @@ class Step:
         folder.mkdir(parents=True, exist_ok=True)
         numbers = self.summary() | verdict.summary()
         numbers["complementarity"] = self.complementarity()
-        table = self.table()
-        moment = table.get("free_moment_nm")
+        moment = self.table().get("free_moment_nm")
         if moment is not None:
             numbers["free_moment_nm"] = {
                 "mean": float(moment.mean()),
                 "largest": float(np.abs(moment).max()),
                 "cut_samples": self.setup.load.moments_cut,
             }
-        write_csv(folder / "steps.csv", table)
-        write_history(
-            folder / HISTORY, self.sole.mesh, self.times, self.history,
-            self.setup.ground,
-        )  # fmt: skip
+        self.write_tables(folder / "steps.csv", folder / HISTORY)
         tables = time.perf_counter()
         self.draw(folder, verdict.mark)
         numbers |= self.seconds | (seconds or {})

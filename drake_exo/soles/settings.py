@@ -143,14 +143,9 @@ class ContactBlock:
 
 @dataclass(frozen=True)
 class GroundBlock:
-    """Uneven ground: heights of a grid in the sole's world frame."""
+    """Uneven ground: a CSV file of heights in the sole's world frame."""
 
     heights: str
-
-    def read(self, root: Path) -> Ground:
-        """Read the CSV file; its path is relative to `root`."""
-        path = root / self.heights
-        return Ground.of_table(read_columns(path, COLUMNS), str(path))
 
 
 @dataclass(frozen=True)
@@ -478,15 +473,20 @@ class Setup:
                 the force the friction cone; a fixed patch holds none of the
                 sole, or all.
         """
-        root, friction = Path(data_root), settings.contact.friction
+        root, friction, ground = (
+            Path(data_root),
+            settings.contact.friction,
+            FLAT,
+        )
         check_data_root(root)
         mesh = settings.read_mesh(root, mesh_file)
         settings = settings.walking_on(mesh.nodes[mesh.contact, :2])
-        ground = settings.ground.read(root) if settings.ground else FLAT
+        if settings.ground is not None:
+            path = root / settings.ground.heights
+            ground = Ground.of_table(read_columns(path, COLUMNS), str(path))
         start = settings.start_pose(mesh, ground)
-        level = _level(mesh, start)
-        ground.check_below(level, "ground.heights")
-        up = ground.normal(level)
+        setup = cls(settings, None, mesh, start, ground)
+        ground.check_below(setup.level, "ground.heights")
         width = float(np.ptp(mesh.nodes[:, :2], axis=0).min())
         found = []
         for block in settings.all_loads:
@@ -494,13 +494,13 @@ class Setup:
             if load.rotation is not None:
                 turned = load.rotation @ rotation_z(start.yaw)
                 load = replace(load, rotation=turned)
-            cls(settings, load, mesh, start, ground).check_load()
-            found.append(load.bearable(friction, width, up))
+            replace(setup, load=load).check_load()
+            found.append(load.bearable(friction, width, setup.up))
         load = found[0]
         if settings.loads:
             weights = [block.weight for block in settings.loads]
             load = Load.one_after_another(found, weights)
-        setup = cls(settings, load, mesh, start, ground)
+        setup = replace(setup, load=load)
         setup.spline().free_map()  # refuses what leaves nothing to change
         return setup
 
@@ -530,7 +530,8 @@ class Setup:
     @property
     def level(self) -> np.ndarray:
         """Nodes that may touch as the sole is set down level [m], (m, 2)."""
-        return _level(self.mesh, self.start)
+        places = self.mesh.nodes[self.mesh.contact]
+        return self.start.places(np.eye(3), places)[:, :2]
 
     @property
     def up(self) -> np.ndarray:
@@ -628,7 +629,3 @@ class Setup:
         block = schema.check(block, OptimizeBlock, f"{self.name}: optimize")
         settings = replace(self.settings, optimize=block)
         return replace(self, settings=settings)
-
-
-def _level(mesh: TetMesh, start: Start) -> np.ndarray:
-    return start.places(np.eye(3), mesh.nodes[mesh.contact])[:, :2]

@@ -23,7 +23,7 @@ from drake_exo.soles.optimize.files import (
     start_folder,
     write_case,
 )
-from drake_exo.soles.optimize.optimizer import Optimum, QuasiNewton
+from drake_exo.soles.optimize.optimizer import Optimum
 from drake_exo.soles.results import write_csv
 from drake_exo.soles.simulation import HISTORY
 
@@ -98,17 +98,17 @@ def test_numbers_that_no_run_writes_are_refused(tmp_path, name):
 
 
 def test_a_checkpoint_of_a_running_stage():
-    curvature = QuasiNewton(np.eye(4), 3.0 * np.eye(4))
+    curvature = 3.0 * np.eye(4)
     best = Optimum(np.ones(4))
     before = _checkpoint()
-    at = Checkpoint.of(1, 5, best, curvature, before)
+    at = before.after(1, 5, best, curvature)
     assert (at.stage, at.iteration, at.barrier) == (1, 5, None)
     assert at.latest is best.p and at.starts == before.starts
     assert at.strain_scale == 0.875
     best.latest = np.zeros(4), np.arange(3.0), 1e-3
-    at = Checkpoint.of(1, 5, best, curvature, before)
+    at = before.after(1, 5, best, curvature)
     np.testing.assert_array_equal(at.latest, np.zeros(4))
-    np.testing.assert_array_equal(at.curvature, 3.0 * np.eye(4))
+    assert at.curvature is curvature and at.begun == ()
     np.testing.assert_array_equal(at.multipliers, np.arange(3.0))
     assert at.barrier == 1e-3 and at.p is best.p
 

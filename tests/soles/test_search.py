@@ -323,13 +323,11 @@ def test_a_stage_limits_the_largest_strain_itself(case, monkeypatch):
     assert given[-1][0].limited["strain"].keywords["largest"] == 0.2
 
 
-def test_what_cannot_be_simulated_scales_nothing(case, problem, monkeypatch):
+def test_what_cannot_be_simulated_scales_nothing(problem, monkeypatch):
     p = first_design(problem, BOUNDS)
     failed = SimpleNamespace(failed_steps=1, largest_strain=9.0)
-    monkeypatch.setattr(
-        search, "Step", SimpleNamespace(by_exact_law=lambda *more: failed)
-    )
-    assert search.strain_scale(case, problem, p) == 1.0
+    monkeypatch.setattr(problem, "step", lambda p: failed)
+    assert search.strain_scale(problem, p) == 1.0
 
 
 def _fake_run(number, p, cost, violation=0.0):

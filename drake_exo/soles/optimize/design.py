@@ -41,7 +41,7 @@ from drake_exo.soles.optimize.optimizer import ITERATION_LIMIT, Optimum
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.results import Step
 from drake_exo.soles.settings import Setup, finer_mesh
-from drake_exo.soles.simulation import FIRST_HISTORY, HISTORY, write_history
+from drake_exo.soles.simulation import FIRST_HISTORY, HISTORY
 
 _ACTIVE = 0.01  # of a scaled limit
 _FINER = 0.03  # of c, on a finer mesh
@@ -134,18 +134,12 @@ class Design:
         return dict(zip(TRACE, columns, strict=True))
 
     @property
-    def smoothed(self) -> tuple[float, float] | None:
-        """c_tr and c_rot by the last stage's smoothed law."""
-        e = self.problem.evaluate(self.variables)
-        return None if e is None else (e.c_tr, e.c_rot)
-
-    @property
     def _told(self) -> dict[str, float]:
-        """Their cost c, and by what part of it the exact law's differs."""
-        if self.smoothed is None:
+        """Cost c by the last stage's smoothed law, the exact one's part off."""
+        e = self.problem.evaluate(self.variables)
+        if e is None:
             return {}
-        c_tr, c_rot = self.smoothed
-        c = c_tr - self.setup.settings.cost.weight * c_rot
+        c = e.c_tr - self.setup.settings.cost.weight * e.c_rot
         return {"c_smoothed": c, "exact_change": self.step.c / c - 1}
 
     def summary(self) -> dict:
@@ -387,11 +381,7 @@ class Design:
             (self.first, "initial.vtk", "initial_steps.csv", FIRST_HISTORY),
         ):
             write_vtk(folder / mesh, step.sole.mesh)
-            write_csv(folder / table, step.table())
-            write_history(
-                folder / history, step.sole.mesh, step.times, step.history,
-                self.setup.ground,
-            )  # fmt: skip
+            step.write_tables(folder / table, folder / history)
         write_csv(folder / "history.csv", self.history)
         self._draw(folder, verdict.mark)
         row["finite_strain"] = self._compare_strains(folder, say, verdict.mark)
@@ -452,9 +442,7 @@ class Design:
 
 def verified(setup: Setup, problem, at: Checkpoint, optima, seconds) -> Design:
     """The design where a search stands, by the exact law."""
-    setup = replace(setup, load=problem.load_of(at.p))
-    step, first = (
-        Step.by_exact_law(setup, sole, problem.law.penalty)
-        for sole in (setup.sole(problem.deformed(at.p)), problem.first.sole)
-    )
+    step, penalty = problem.step(at.p), problem.law.penalty
+    setup = replace(setup, load=step.setup.load)
+    first = Step.by_exact_law(setup, problem.first.sole, penalty)
     return Design(setup, problem, at.p, step, first, optima, seconds, at.starts)

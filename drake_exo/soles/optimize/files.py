@@ -84,16 +84,13 @@ class Checkpoint:
         if not sound:
             raise ValueError("not a checkpoint")
 
-    @classmethod
-    def of(
-        cls, stage, iteration, best, hessian_approximation, before
-    ) -> "Checkpoint":
-        """Of a running stage; `before` is where it stood earlier."""
+    def after(self, stage, iteration, best, curvature) -> "Checkpoint":
+        """Where a stage that began here stands now."""
         latest, multipliers, barrier = best.latest or (best.p, None, None)
-        return cls(
-            stage, iteration, best.p, latest, multipliers, barrier,
-            hessian_approximation.matrix, before.strain_scale, before.starts,
-            before.alone, case=before.case, key=before.key,
+        return replace(
+            self, stage=stage, iteration=iteration, p=best.p, latest=latest,
+            multipliers=multipliers, barrier=barrier, curvature=curvature,
+            begun=(),
         )  # fmt: skip
 
     def check_fits(self, problem) -> None:

@@ -29,6 +29,7 @@ from drake_exo.soles.optimize.limits import (
     limits_of,
     soft_minimum,
 )
+from drake_exo.soles.results import Step
 from drake_exo.soles.settings import Setup, Stage, finer_mesh, stage_mesh
 from drake_exo.soles.simulation import (
     heel_strike_count,
@@ -143,6 +144,12 @@ class ShapeProblem:
     def deformed(self, p: np.ndarray) -> TetMesh:
         """The mesh of a design; elements may be inverted."""
         return self.mesh.with_nodes(self.stretch(p)[:, None] * self.mesh.nodes)
+
+    def step(self, p: np.ndarray) -> Step:
+        """A design through all samples by the exact law, from a cold start."""
+        setup = replace(self.setup, load=self.load_of(p))
+        sole = setup.sole(self.deformed(p))
+        return Step.by_exact_law(setup, sole, self.law.penalty)
 
     def evaluate(self, p: np.ndarray) -> Evaluation | None:
         """Simulate a design; None if it cannot be simulated."""

@@ -429,7 +429,7 @@ def _keep(at: Checkpoint, out: Path | None) -> None:
         at.write(out)
 
 
-def strain_scale(setup: Setup, problem: ShapeProblem, p) -> float:
+def strain_scale(problem: ShapeProblem, p: np.ndarray) -> float:
     """Largest strain of a design over the norm that stands for it.
 
     By the exact law with all samples: the norm is of all strains, of some
@@ -439,9 +439,7 @@ def strain_scale(setup: Setup, problem: ShapeProblem, p) -> float:
     e = problem.evaluate(p)
     if e is None:
         return 1.0
-    setup = replace(setup, load=problem.load_of(p))
-    sole = setup.sole(problem.deformed(p))
-    step = Step.by_exact_law(setup, sole, problem.law.penalty)
+    step = problem.step(p)
     if step.failed_steps:
         return 1.0
     return step.largest_strain / e.strain.value
@@ -461,8 +459,7 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
     at.check_fits(problem)
     if number:
         if at.iteration == 0 and "strain" in problem.limits:
-            scale = strain_scale(setup, problem, at.p)
-            at = replace(at, strain_scale=scale)
+            at = replace(at, strain_scale=strain_scale(problem, at.p))
         _scale(problem, at)
     bounds = problem.within(block.bounds)
     approximation = QuasiNewton(problem.metric, at.curvature)
@@ -477,7 +474,7 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
         )
         if iteration and iteration % _CHECKPOINT_EVERY == 0:
             done = at.iteration + iteration
-            _keep(Checkpoint.of(number, done, best, approximation, at), out)
+            _keep(at.after(number, done, best, approximation.matrix), out)
 
     left = max(block.stages[number].iterations - at.iteration, 0)
     best = minimise(
@@ -489,7 +486,7 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
     best.trace = [(at.iteration + row[0], *row[1:]) for row in best.trace]
     best.latest = (best.p, best.multipliers, WARM_BARRIER)
     following = min(number + 1, len(block.stages) - 1)
-    at = Checkpoint.of(following, 0, best, approximation, at)
+    at = at.after(following, 0, best, approximation.matrix)
     best.seconds = time.perf_counter() - began
     return best, at
 
@@ -634,7 +631,7 @@ def pareto_front(
         )  # fmt: skip
         title = f"c_rot above {floor:.3f} of the brick's"
         best = searched(problem, p, stages[1], title, approximation)
-        found.append(_point_of_front(setup, problem, best, floor, base))
+        found.append(_point_of_front(problem, best, floor, base))
         p = best.p
         # What keeps a floor, or more of c_rot, is a point for any other.
         points[:] = [_best(found, own) for own in found]
@@ -649,12 +646,11 @@ def _best(found: list[dict], own: dict) -> dict:
     return best | {"floor": own["floor"]}
 
 
-def _point_of_front(setup: Setup, problem, best, floor, base: Step) -> dict:
+def _point_of_front(problem, best, floor, base: Step) -> dict:
     """What front.json says of a point, by the exact law."""
-    sole = setup.sole(problem.deformed(best.p))
-    step = Step.by_exact_law(setup, sole, problem.law.penalty)
+    step = problem.step(best.p)
     return {
-        "case": setup.name,
+        "case": step.setup.name,
         "floor": floor,
         "c_tr": step.c_tr,
         "c_rot": step.c_rot,
