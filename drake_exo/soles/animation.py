@@ -9,7 +9,7 @@ import base64
 import html
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
@@ -83,12 +83,17 @@ class SoleMotion:
         mark: str = "",
         group: str = "",
     ) -> SoleMotion | None:
-        """The converged samples of a `StepHistory`; None if there are none."""
-        good = np.isfinite(history.K_c).all(axis=(1, 2))
-        if good.sum() < 2:
+        """Of a `StepHistory`; None where fewer than two samples converged.
+
+        Of more than a page takes some, first and last among them.
+        """
+        good = np.flatnonzero(np.isfinite(history.K_c).all(axis=(1, 2)))
+        if len(good) < 2:
             return None
+        count = min(len(good), _MAX_FRAMES)
+        shown = good[np.linspace(0, len(good) - 1, count).astype(int)]
         parts = (times, history.O, history.R, history.P, history.F)
-        times, *rest = (part[good] for part in parts)
+        times, *rest = (part[shown] for part in parts)
         return SoleMotion(title, group, times, mesh, *rest, mark, ground)
 
     @staticmethod
@@ -128,13 +133,6 @@ class SoleMotion:
     def _touching(self) -> np.ndarray:
         return np.searchsorted(self.surface, self.mesh.contact)
 
-    def thinned(self, most: int) -> SoleMotion:
-        """At most that many samples, first and last among them."""
-        count = min(len(self.times), most)
-        picked = np.linspace(0, len(self.times) - 1, count).astype(int)
-        names = ("times", "origin", "rotation", "places", "force")
-        return replace(self, **{n: getattr(self, n)[picked] for n in names})
-
 
 def write_animation(
     path: Path, motions: Sequence[SoleMotion], title: str
@@ -143,7 +141,6 @@ def write_animation(
 
     An HTML file of 1 MB and at most 1.5 MB for each motion.
     """
-    motions = [motion.thinned(_MAX_FRAMES) for motion in motions]
     pressures = [motion.pressure() for motion in motions]
     # The corners at heel strike would leave the rest of a step dark.
     top = max(float(np.quantile(p[p > 0], 0.99)) for p in pressures)

@@ -290,12 +290,6 @@ class Step:
         return np.cross(arm, self.history.F)[:, :, 2].sum(axis=1)
 
     @property
-    def _zmp_in_sole(self) -> np.ndarray:
-        """The ZMP in the sole's frame [m], (N, 2)."""
-        from_origin = self._zmp_on_ground - self.origin
-        return np.einsum("qij,qi->qj", self.rotation, from_origin)[:, :2]
-
-    @property
     def zmp_error(self) -> float:
         """Distance of the ZMP from the load's, RMS of what converged [m].
 
@@ -642,17 +636,15 @@ class Step:
         load, mesh = self.setup.load, self.sole.mesh
         level = self.setup.start.places(np.eye(3), self.sole.positions)[:, :2]
         peak = self.pressure[self.converged].max(axis=0, initial=0.0)
+        from_origin = self._zmp_on_ground - self.origin
+        zmp = np.einsum("qij,qi->qj", self.rotation, from_origin)[:, :2]
         drawn = {
             "drawing": pictures.drawing_figure(mesh, self.setup.name, peak),
             "load": pictures.load_figure(load, level, self.setup.ground),
             "stiffness": self.plot(label, **beside),
             "pose": pictures.pose_figure(self.table()),
             "pressure": pictures.pressure_figure(
-                mesh,
-                load.times,
-                self._zmp_in_sole,
-                self.pressure,
-                self.converged,
+                mesh, load.times, zmp, self.pressure, self.converged
             ),
         }
         for name, figure in drawn.items():

@@ -261,8 +261,20 @@ def plan(robot: Robot) -> Pattern:
     # As the right foot lands and as it lifts off, too.
     ends = _feet(z, T, 0.0, D)[1], _feet(z, T, D, D)[0]
     inside = np.vstack([z(t[t >= D]), *ends])
-    hold = _HOLD * _double_support_residual(z, t[t <= D], D)
-    own, share = _own_rows(z, t, T, D)
+    landing, alone, off = t[t < D], t[t >= D], t[t <= D]
+    # In double support the feet keep to z = (1 − α) a + α b.
+    share = smooth_share(off / D)[:, None]
+    a, b = _feet(z, 0.0, off, D)
+    hold = _HOLD * (z(off) - (1 - share) * a - share * b)
+    # One foot's ZMP times its share, from landing to lift-off.
+    own = _feet(z, T, landing, D)[1], z(alone), _feet(z, T, off, D)[0]
+    share = [
+        smooth_share(landing / D),
+        0 * alone + 1,
+        1 - smooth_share(off / D),
+    ]
+    share = np.concatenate(share)
+    own = share[:, None] * np.concatenate(own)
     torque = np.sqrt(robot.torque_weight) * omega2
     speed = _SPEED_TIME * (omega2 * basis(t, 1) - basis(t, 3))
     coefficients = []
@@ -276,20 +288,16 @@ def plan(robot: Robot) -> Pattern:
         A = np.concatenate([basis(t, 2), torque * own, hold, speed])
         b = np.zeros(len(A))
         b[len(t) : len(t) + len(own)] = torque * share * robot.ankle_m[k]
-        cycle, ahead = _cycle(basis, T, sign, shift)
+        # c⁽ᵒ⁾(T) = ± c⁽ᵒ⁾(0), one step ahead.
+        cycle = [basis(T, o) - sign * basis(0.0, o) for o in range(_DEGREE)]
+        size = np.linalg.norm(cycle, axis=1)
+        ahead = shift * np.eye(_DEGREE)[0] / size
         coefficients.append(
-            _least_squares(A, b, cycle, ahead, inside, low, high)
+            _least_squares(
+                A, b, cycle / size[:, None], ahead, inside, low, high
+            )
         )
     return Pattern(robot, BSpline(knots, np.stack(coefficients, 1), _DEGREE))
-
-
-def _cycle(basis, T, sign, shift):
-    """Rows and right-hand side of c⁽ᵒ⁾(T) = ± c⁽ᵒ⁾(0), one step ahead."""
-    rows = [basis(T, o) - sign * basis(0.0, o) for o in range(_DEGREE)]
-    value = np.zeros(_DEGREE)
-    value[0] = shift
-    size = np.linalg.norm(rows, axis=1)
-    return rows / size[:, None], value / size
 
 
 def _least_squares(A, b, equal, value, rows, low, high) -> np.ndarray:
@@ -338,26 +346,6 @@ def _held(H, r, rows, at) -> np.ndarray:
 def _zmp(spline, omega2, at, order=0):
     """Of the ZMP z = c − c̈/ω² of a CoM's spline, or a derivative."""
     return spline(at, order) - spline(at, order + 2) / omega2
-
-
-def _own_rows(z, t, T, D):
-    """Rows of one foot's ZMP times its share, landing to lift-off."""
-    landing, alone, off = t[t < D], t[t >= D], t[t <= D]
-    rows = _feet(z, T, landing, D)[1], z(alone), _feet(z, T, off, D)[0]
-    share = [
-        smooth_share(landing / D),
-        0 * alone + 1,
-        1 - smooth_share(off / D),
-    ]
-    share = np.concatenate(share)
-    return share[:, None] * np.concatenate(rows), share
-
-
-def _double_support_residual(z, t, D):
-    """Rows of z(t) − (1 − α) a(t) − α b(t): the feet keep to lines."""
-    share = smooth_share(t / D)[:, None]
-    a, b = _feet(z, 0.0, t, D)
-    return z(t) - (1 - share) * a - share * b
 
 
 # How far a walk's numbers may go, as factors.
@@ -436,18 +424,16 @@ class Gait:
         found, drawn = 0, Halton(len(self.start), scramble=False)
         for _ in range(_DRAWN * number):
             (x,) = drawn.random(1)
+            try:
+                limits = self.limits(x).values()
+            except InputError:  # no such walk
+                continue
+            keeps = all((limit >= 0).all() for limit in limits)
             # With a single number it comes by the case's own.
-            found += self._keeps(x) and not np.allclose(x, self.start)
+            found += keeps and not np.allclose(x, self.start)
             if found == number:
                 return x
         return self.start
-
-    def _keeps(self, x) -> bool:
-        try:
-            limits = self.limits(x).values()
-        except InputError:  # no such walk
-            return False
-        return all((limit >= 0).all() for limit in limits)
 
     def at(self, x: np.ndarray) -> Robot:
         """The walk of variables (G,)."""

@@ -269,13 +269,22 @@ def test_a_mark_is_the_result_s_not_its_first_shape_s(
     ]
 
 
-def test_thinned_samples_are_spread_evenly(motion):
-    times = np.linspace(0, 1, 12)
+@pytest.mark.parametrize(
+    ("most", "shown"), [(6, [0, 2, 4, 6, 8, 12]), (20, [*range(9), 10, 11, 12])]
+)
+def test_samples_of_a_long_step_are_spread_evenly(
+    motion, monkeypatch, most, shown
+):
+    """Over those that converged: the tenth did not."""
+    monkeypatch.setattr(animation, "_MAX_FRAMES", most)
+    times, K = np.linspace(0, 1, 13), np.zeros((13, 6, 6))
+    K[9] = np.nan
+    parts = {"O": "origin", "R": "rotation", "P": "places", "F": "force"}
     many = {
-        name: np.repeat(getattr(motion, name)[:1], 12, axis=0)
-        for name in ("origin", "rotation", "places", "force")
+        name: np.repeat(getattr(motion, own)[:1], 13, axis=0)
+        for name, own in parts.items()
     }
-    found = replace(motion, times=times, **many).thinned(6)
-    np.testing.assert_allclose(found.times, times[[0, 2, 4, 6, 8, 11]])
-    assert len(found.places) == 6
-    assert len(replace(motion).thinned(9).times) == 3
+    history = SimpleNamespace(K_c=K, **many)
+    found = SoleMotion.of("it", motion.mesh, times, history)
+    np.testing.assert_array_equal(found.times, times[shown])
+    assert len(found.places) == len(shown)

@@ -148,13 +148,6 @@ def test_failed_samples_are_left_out(folder, step):
     assert SoleMotion.read(folder / "none.npz", "") is None
 
 
-def test_thinning_keeps_both_ends(step):
-    mesh, load, history = step
-    motion = SoleMotion.of("small", mesh, load.times, history).thinned(4)
-    assert len(motion.times) == 4
-    assert (motion.times[0], motion.times[-1]) == (TIMES[0], TIMES[-1])
-
-
 def test_folder_without_soles_is_refused(tmp_path):
     with pytest.raises(InputError, match="holds no history"):
         replay_soles(tmp_path, tmp_path / "page.html")

@@ -189,13 +189,6 @@ class Design:
             }
         return row | self._told
 
-    @property
-    def _surface(self) -> dict[str, float]:
-        """Of all of it, what the limits leave out too, as it stays."""
-        limits = self.problem.surface
-        all_nodes = np.ones_like(limits.moving)
-        return replace(limits, moving=all_nodes).measures(self.mesh)
-
     def active(self) -> list[str]:
         """Names of the limits that hold the design, and of what is kept."""
         values = self.problem.constraints(self.variables)
@@ -384,14 +377,22 @@ class Design:
             step.write_tables(folder / table, folder / history)
         write_csv(folder / "history.csv", self.history)
         self._draw(folder, verdict.mark)
-        row["finite_strain"] = self._compare_strains(folder, say, verdict.mark)
+        write_case(folder, self.setup.settings, self.setup.start)
+        began = time.perf_counter()
+        found = compare_strains(replace(self.setup, mesh=self.mesh), say)
+        write_table(folder, {self.setup.name: found}, verdict.mark)
+        found["solve_seconds"] = round(time.perf_counter() - began, 2)
+        row["finite_strain"] = found
         write_json(folder / SUMMARY, row)
         return row
 
     def _write_stl(self, folder: Path) -> dict:
         """Sole and mould for printing; what was checked of both."""
         sole = self.mesh.nodes[self.mesh.boundary_faces]
-        measured = self._surface
+        # Of all of it, what the limits leave out too, as it stays.
+        limits = self.problem.surface
+        whole = replace(limits, moving=np.ones_like(limits.moving))
+        measured = whole.measures(self.mesh)
         told = {
             "sole.stl": {
                 "watertight": is_watertight(sole),
@@ -429,15 +430,6 @@ class Design:
             ("history", pictures.histories_figure(histories)),
         ):
             save_figure(folder / f"{name}.png", figure, mark)
-
-    def _compare_strains(self, folder: Path, say, mark: str) -> dict:
-        """Write the case, and the table of both strains."""
-        write_case(folder, self.setup.settings, self.setup.start)
-        began = time.perf_counter()
-        found = compare_strains(replace(self.setup, mesh=self.mesh), say)
-        write_table(folder, {self.setup.name: found}, mark)
-        found["solve_seconds"] = round(time.perf_counter() - began, 2)
-        return found
 
 
 def verified(setup: Setup, problem, at: Checkpoint, optima, seconds) -> Design:
