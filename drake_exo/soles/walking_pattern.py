@@ -258,22 +258,18 @@ def plan(robot: Robot) -> Pattern:
     basis = BSpline(knots, np.eye(_PIECES + _DEGREE), _DEGREE)
     t = np.linspace(0, T, _GRID)
     z = partial(_zmp, basis, omega2)
+    landing, alone, off = t[t < D], t[t >= D], t[t <= D]
     # As the right foot lands and as it lifts off, too.
     ends = _feet(z, T, 0.0, D)[1], _feet(z, T, D, D)[0]
-    inside = np.vstack([z(t[t >= D]), *ends])
-    landing, alone, off = t[t < D], t[t >= D], t[t <= D]
+    inside = np.vstack([z(alone), *ends])
     # In double support the feet keep to z = (1 − α) a + α b.
-    share = smooth_share(off / D)[:, None]
-    a, b = _feet(z, 0.0, off, D)
-    hold = _HOLD * (z(off) - (1 - share) * a - share * b)
+    alpha, (a, b) = smooth_share(off / D)[:, None], _feet(z, 0.0, off, D)
+    hold = _HOLD * (z(off) - (1 - alpha) * a - alpha * b)
     # One foot's ZMP times its share, from landing to lift-off.
     own = _feet(z, T, landing, D)[1], z(alone), _feet(z, T, off, D)[0]
-    share = [
-        smooth_share(landing / D),
-        0 * alone + 1,
-        1 - smooth_share(off / D),
-    ]
-    share = np.concatenate(share)
+    share = np.concatenate(
+        [smooth_share(landing / D), 0 * alone + 1, 1 - smooth_share(off / D)]
+    )
     own = share[:, None] * np.concatenate(own)
     torque = np.sqrt(robot.torque_weight) * omega2
     speed = _SPEED_TIME * (omega2 * basis(t, 1) - basis(t, 3))
