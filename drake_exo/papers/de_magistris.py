@@ -75,8 +75,10 @@ COARSE = (
 # Of c_rot over the brick's; the first is the paper's 1-Ref.
 FLOORS = (0.9721, 1.1, 1.2, 1.3, 1.4, 1.55, 1.7, 1.85)
 _WHOLE = "1-Ref"  # the case with the whole front
-# Folder and key of the cases without limits; keys of the fronts.
+# Folder and key of the cases without limits; their names are those of the
+# others. Keys of the fronts.
 UNLIMITED = "unlimited"
+_BELOW = {"cases": "", UNLIMITED: UNLIMITED + "/"}
 _FRONTS = {"cases": "front", UNLIMITED: "unlimited_front"}
 _FRONT, SOLES = "front.json", "soles.png"
 _TOLD = ("/optimize", "/front")  # jobs whose end is worth a line
@@ -192,39 +194,46 @@ class Study:
         Returns:
             The verdict on all designs together; the tables.
         """
-        began, summary = time.perf_counter(), {}
-        folders = {
-            key: out if key == "cases" else out / key for key in self.variants
-        }
-        every = [
-            (folders[key] / case.name, case)
-            for key, cases in self.variants.items()
-            for case in cases
-        ]
-        jobs = []
-        for folder, case in every:
-            jobs += _search(out, folder, case, tuple(accepted))
-        if with_front:
-            jobs += [_front(out, *one) for one in every]
-        summary |= {"load": self.source, "limits": self.limits}
+        began = time.perf_counter()
+        summary = {"load": self.source, "limits": self.limits}
+        jobs, fronts = [], []
+        for key, cases in self.variants.items():
+            for case in cases:
+                name = f"{_BELOW[key]}{case.name}/"
+                folder = out / name
+                folder.mkdir(parents=True, exist_ok=True)
+                stages = search_jobs(case, folder, name=name)
+                what = {"folder": folder, "case": case}
+                last = Job(
+                    f"{name}optimize", f"{__name__}:optimize_job",
+                    what | {"accepted": tuple(accepted)}, (stages[-1].name,),
+                    given="search",
+                )  # fmt: skip
+                jobs += [*stages, last]
+                front = Job(f"{name}front", f"{__name__}:front_job", what)
+                fronts.append(front)
+        jobs += fronts if with_front else []
 
         def note() -> None:
             """After every case: an interrupted study keeps its cases."""
             for key, cases in self.variants.items():
+                folder = out / _BELOW[key]
                 summary[key] = [
-                    read_summary(folders[key] / case.name)
+                    read_summary(folder / case.name)
                     for case in cases
-                    if (folders[key] / case.name / SUMMARY).is_file()
+                    if (folder / case.name / SUMMARY).is_file()
                 ]
                 if with_front:
-                    summary[_FRONTS[key]] = study_front(folders[key], cases)
+                    summary[_FRONTS[key]] = study_front(folder, cases)
             summary["total_seconds"] = round(time.perf_counter() - began, 2)
             write_json(out / SUMMARY, summary)
 
         def end(row: Ended) -> None:
             if row.name.endswith(_TOLD):
-                error = f"{row.name}: {row.cause or row.error}"
-                said = _beside(row.name) + row.value if row.value else error
+                said = f"{row.name}: {row.cause or row.error}"
+                if row.value:
+                    unlimited = row.name.startswith(UNLIMITED)
+                    said = _BELOW[UNLIMITED] * unlimited + row.value
                 print(said, flush=True)
                 note()
 
@@ -245,7 +254,7 @@ class Study:
         for key in self.variants:
             for row in summary[key]:
                 checks += [
-                    replace(c, where=_beside(key) + c.where)
+                    replace(c, where=_BELOW[key] + c.where)
                     for c in stored(row).checks
                 ]
         verdict = Verdict(tuple(checks), tuple(accepted))
@@ -254,34 +263,6 @@ class Study:
         text = _tables(out, summary, verdict.mark)
         write_text(out / "table.txt", text, verdict.mark)
         return verdict, text
-
-
-def _beside(place: str) -> str:
-    """What goes before a case's name, by the key or job that it comes from.
-
-    Names of cases are those of their designs with limits as well.
-    """
-    return UNLIMITED + "/" if place.startswith(UNLIMITED) else ""
-
-
-def _search(out: Path, folder: Path, case: Case, accepted) -> list[Job]:
-    """The stages of a case, then its design."""
-    folder.mkdir(parents=True, exist_ok=True)
-    name = f"{folder.relative_to(out).as_posix()}/"
-    jobs = search_jobs(case, folder, name=name)
-    what = {"folder": folder, "case": case, "accepted": accepted}
-    last = Job(
-        f"{name}optimize", f"{__name__}:optimize_job", what,
-        (jobs[-1].name,), given="search",
-    )  # fmt: skip
-    return [*jobs, last]
-
-
-def _front(out: Path, folder: Path, case: Case) -> Job:
-    """A case's part of the front."""
-    name = f"{folder.relative_to(out).as_posix()}/front"
-    what = {"folder": folder, "case": case}
-    return Job(name, f"{__name__}:front_job", what)
 
 
 def optimize_job(folder: Path, case: Case, say, search, accepted=()) -> str:
