@@ -164,12 +164,12 @@ class Study:
         """
         load = step_block(data_root)
         source = "authors’ step" if load.one_foot else "own walking pattern"
-        cases = []
-        for settings in five_cases(load, coarse):
-            case = Case.open(settings, data_root or ".", mesh_file)
-            if mesh_file is not None:
-                case = case.on_own_mesh()
-            cases.append(case.with_iterations(iterations))
+        cases = [
+            Case.open(settings, data_root or ".", mesh_file).with_iterations(
+                iterations
+            )
+            for settings in five_cases(load, coarse)
+        ]
         variants = {"cases": cases}
         if limits != "all":
             free = [case.without_limits() for case in cases]

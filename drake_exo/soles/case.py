@@ -71,10 +71,9 @@ class Case(Setup):
         """
         root, settings = data_root or Path(path).parent, Settings.read(path)
         try:
-            case = cls.open(settings, root, mesh_file, read_step)
+            return cls.open(settings, root, mesh_file, read_step)
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
-        return case if mesh_file is None else case.on_own_mesh()
 
     @classmethod
     def from_text(

@@ -17,7 +17,7 @@ from drake_exo.files.schema import (
     positive,
     quantity,
 )
-from drake_exo.files.tables import missing_column
+from drake_exo.files.tables import between, missing_column
 from drake_exo.soles.loads import (
     MOST_SAMPLES,
     Load,
@@ -101,7 +101,7 @@ class ForcePlate:
         names = [[f"{prefix}_{s}{axis}" for axis in "xyz"] for s in "vpm"]
         table = _opensim_columns(path, [n for row in names for n in row])
         time = table["time"]
-        rows = (time >= self.start_s - 1e-9) & (time <= self.end_s + 1e-9)
+        rows = between(time, self.start_s, self.end_s)
 
         def turned(columns):  # (x, y up, z right) -> (x, y left, z up)
             x, y, z = (table[name][rows] for name in columns)

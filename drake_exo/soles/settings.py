@@ -502,7 +502,7 @@ class Setup:
             load = Load.one_after_another(found, weights)
         setup = replace(setup, load=load)
         setup.spline().free_map()  # refuses what leaves nothing to change
-        return setup
+        return setup if mesh_file is None else setup.on_own_mesh()
 
     def check_load(self) -> None:
         """Refuse what no pose of the sole answers.

@@ -189,6 +189,13 @@ class Design:
             }
         return row | self._told
 
+    @property
+    def _surface(self) -> dict[str, float]:
+        """Of all of it, what the limits leave out too, as it stays."""
+        limits = self.problem.surface
+        all_nodes = np.ones_like(limits.moving)
+        return replace(limits, moving=all_nodes).measures(self.mesh)
+
     def active(self) -> list[str]:
         """Names of the limits that hold the design, and of what is kept."""
         values = self.problem.constraints(self.variables)
@@ -389,10 +396,7 @@ class Design:
     def _write_stl(self, folder: Path) -> dict:
         """Sole and mould for printing; what was checked of both."""
         sole = self.mesh.nodes[self.mesh.boundary_faces]
-        # Of all of it, what the limits leave out too, as it stays.
-        limits = self.problem.surface
-        whole = replace(limits, moving=np.ones_like(limits.moving))
-        measured = whole.measures(self.mesh)
+        measured = self._surface
         told = {
             "sole.stl": {
                 "watertight": is_watertight(sole),
