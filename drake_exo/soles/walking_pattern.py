@@ -483,20 +483,14 @@ class Gait:
         Central differences of the programme's optimum, which is exact and
         smooth while the same bounds hold the ZMP.
         """
-        ends = [
-            [self._planned(x + s * d) for s in (1, -1)]
-            for d in _STEP * np.eye(len(x))
-        ]
-        loads = [
-            [np.hstack([load.force, load.zmp]) for load, _ in both]
-            for both in ends
-        ]
-        limits = {
-            name: np.transpose(
-                [ahead[1][name] - behind[1][name] for ahead, behind in ends]
+        loads, limits = [], []
+        for d in _STEP * np.eye(len(x)):
+            (a, ahead), (b, behind) = (
+                self._planned(x + s * d) for s in (1, -1)
             )
-            / (2 * _STEP)
-            for name in ends[0][0][1]
+            loads.append(np.hstack([a.force - b.force, a.zmp - b.zmp]))
+            limits.append([ahead[name] - behind[name] for name in ahead])
+        by_name = zip(ahead, zip(*limits, strict=True), strict=True)
+        return np.array(loads) / (2 * _STEP), {
+            name: np.transpose(change) / (2 * _STEP) for name, change in by_name
         }
-        ahead, behind = np.swapaxes(loads, 0, 1)
-        return (ahead - behind) / (2 * _STEP), limits
