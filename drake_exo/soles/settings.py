@@ -52,24 +52,8 @@ from drake_exo.soles.walking_pattern import Gait
 class Brick:
     """A brick meshed by code."""
 
-    size_m: Vector3
-    divisions: tuple[int, int, int]
-
-    def __post_init__(self):
-        if min(self.size_m) < 1e-3:
-            raise InputError(
-                f"size_m is {list(self.size_m)}; give lengths in metres, of a "
-                "millimetre or more"
-            )
-        _check_divisions(self.divisions)
-
-
-def _check_divisions(divisions: tuple[int, int, int]) -> None:
-    if min(divisions) < 1:
-        raise InputError(
-            f"divisions are {list(divisions)}; give whole numbers of cells, 1 "
-            "or more"
-        )
+    size_m: Vector3 = quantity("m", minimum=1e-3)
+    divisions: tuple[int, int, int] = quantity(None, minimum=1)
 
 
 @dataclass(frozen=True)
@@ -179,19 +163,14 @@ class Stage:
         roughness: factor on that of the case.
     """
 
-    divisions: tuple[int, int, int] | None = None
+    divisions: tuple[int, int, int] | None = quantity(None, None, minimum=1)
     samples: int | None = quantity(None, None, minimum=1)
     layer_m: float = positive("m", 1e-5)
     kappa: float = not_negative("", 0.1)
     iterations: int = quantity(None, 40, minimum=0)
     roughness: float = not_negative("", 1.0)
 
-    def __post_init__(self):
-        if self.divisions is not None:
-            _check_divisions(self.divisions)
 
-
-_FAR = 2.0  # metres: on no sole
 _FINE = (18, 12, 4)
 # Strains and poses depend on the mesh: the fine one from the start. Smooth
 # shapes first; then twice, since each stage begins with what the largest strain
@@ -255,7 +234,9 @@ class ShapeBlock:
     """What the surface of a design has to keep, in the sole's frame."""
 
     symmetric: bool = False
-    fixed_m: tuple[tuple[Vector3, Vector3], ...] = ()
+    fixed_m: tuple[tuple[Vector3, Vector3], ...] = quantity(
+        "m", (), minimum=-2.0, maximum=2.0
+    )
     least_depth_m: float | None = quantity("m", None, above=0.0, below=1.0)
     largest_height_m: float | None = quantity("m", None, above=0.0, below=1.0)
     draft_deg: float | None = quantity("°", None, minimum=0.0, below=45.0)
@@ -266,11 +247,6 @@ class ShapeBlock:
             raise InputError(
                 f"least_depth_m {low:g} has to be below largest_height_m "
                 f"{high:g}"
-            )
-        if np.abs(self.fixed_m).max(initial=0.0) > _FAR:
-            raise InputError(
-                f"fixed_m reaches over {_FAR:g} m from the top's middle; give "
-                "corners in metres"
             )
 
     def spline(

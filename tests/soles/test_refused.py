@@ -106,7 +106,7 @@ def test_lengths_and_keys_of_a_case():
     with pytest.raises(InputError, match="tilt_deg is 100, but must be"):
         schema.load_text("tilt_deg: 100", OptimizeBlock)
     text = "fixed_m: [[[-115, -65, -30], [0, 65, 0]]]"
-    with pytest.raises(InputError, match="fixed_m reaches over 2 m"):
+    with pytest.raises(InputError, match=r"fixed_m\[0\]\[0\]\[0\] is -115"):
         schema.load_text(text, ShapeBlock)
     text = "force_n: [0, 0, 9]\nzmp_m: [0, 0]\nsamples: 1000000000"
     with pytest.raises(InputError, match="samples is 1000000000, but must be"):
