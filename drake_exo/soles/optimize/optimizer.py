@@ -94,14 +94,13 @@ _WARM = {
 }
 
 ITERATION_LIMIT = "iteration limit"
+# Neither 1, an acceptable point, nor 5, what `watch` ends, come out of it.
 _STATUS = {
     0: "optimal",
-    1: "acceptable",
     2: "infeasible",
     3: "steps became tiny",
     -1: ITERATION_LIMIT,
     -2: "restoration failed",
-    5: "stopped by the user",
     -13: "invalid number",
 }
 
