@@ -249,27 +249,18 @@ class Load:
             shift = 0.0 if end is None else end + _PAUSE_S - load.times[0]
             times.append(load.times + shift)
             end = times[-1][-1]
-        counts = [len(load.times) for load in loads]
-        first = np.cumsum([0, *counts])
-        each = zip(loads, weights, strict=True)
+        first = np.cumsum([0, *(len(load.times) for load in loads[:-1])])
+        each = list(zip(loads, first, weights, strict=True))
         return cls(
             np.concatenate(times),
             np.concatenate([load.force for load in loads]),
             np.concatenate([load.zmp for load in loads]),
             "; ".join(load.name for load in loads),
-            _joined([load.free_moment for load in loads], counts, 0.0),
-            _joined(
-                [load.rotation for load in loads],
-                counts,
-                np.full((3, 3), np.nan),
-            ),
+            _joined(loads, "free_moment", 0.0),
+            _joined(loads, "rotation", np.full((3, 3), np.nan)),
             sum(load.moments_cut for load in loads),
-            tuple(
-                int(n + k)
-                for n, load in zip(first, loads, strict=False)
-                for k in load.begins
-            ),
-            tuple(float(w * s) for load, w in each for s in load.shares),
+            tuple(int(n + k) for load, n, _ in each for k in load.begins),
+            tuple(float(w * s) for load, _, w in each for s in load.shares),
         )
 
     def target(self, q: int, reference, ground: Ground = FLAT) -> Target:
@@ -379,10 +370,12 @@ class Load:
             )
 
 
-def _joined(parts, counts, fill) -> np.ndarray | None:
-    """Arrays one after the other; None where none is given."""
+def _joined(loads, name: str, fill) -> np.ndarray | None:
+    """An array of loads one after the other; None where none has it."""
+    parts = [getattr(load, name) for load in loads]
     if all(part is None for part in parts):
         return None
+    counts = [len(load.times) for load in loads]
     return np.concatenate(
         [
             np.broadcast_to(fill, (n, *np.shape(fill))) if p is None else p
