@@ -392,8 +392,7 @@ def certainty_table(rows: list[dict]) -> str:
     head = (
         f"{'case':11s} {'c':>10s} {'paper':>10s} {'error':>8s} {'compl.':>8s} "
         f"{'exact law':>9s} {'finer':>7s} {'brick':>7s} {'spread':>7s} "
-        f"{'strain':>6s} "
-        f"{'tilt':>5s} {'stable':>6s}"
+        f"{'strain':>6s} {'tilt':>5s} {'stable':>6s}"
     )
     lines = [head, "-" * len(head)]
     for row in rows:
