@@ -4,7 +4,6 @@ A dataclass for each block of keys; docs/soles.md explains them all. Paths are
 relative to --data-root where given, else to the case file's folder.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -248,32 +247,6 @@ class ShapeBlock:
                 f"least_depth_m {low:g} has to be below largest_height_m "
                 f"{high:g}"
             )
-
-    def spline(
-        self, meshes: Sequence[TetMesh], intervals, fixed_top
-    ) -> SphericalSpline:
-        """Coefficients that are free; of the initial shape's meshes.
-
-        Raises:
-            InputError: A fixed patch holds none of the surface, or all.
-        """
-        free, kept = SphericalSpline(intervals, fixed_top), set()
-        points = np.concatenate([m.nodes[m.bare] for m in meshes])
-        if fixed_top:  # below the origin's plane it feels more than its rows
-            top = np.concatenate([m.nodes[m.fixed] for m in meshes])
-            low = top[top[:, 2] < -1e-9]
-            kept.update(free.around(low) if len(low) else ())
-        for k, corners in enumerate(self.fixed_m):
-            low, high = np.sort(corners, axis=0)
-            inside = ((low <= points) & (points <= high)).all(axis=1)
-            if not inside.any():
-                raise InputError(
-                    f"optimize.shape.fixed_m[{k}]: no node of the sole's "
-                    "bare surface is in that box; give two corners in the "
-                    "sole's frame (top at z = 0), in metres"
-                )
-            kept |= set(free.around(points[inside]))
-        return replace(free, symmetric=self.symmetric, kept=tuple(sorted(kept)))
 
 
 @dataclass(frozen=True)
@@ -536,13 +509,34 @@ class Setup:
         )
 
     def spline(self) -> SphericalSpline:
-        """Of shapes: its coefficients that are free."""
+        """Of shapes: its coefficients that are free.
+
+        Raises:
+            InputError: A fixed patch holds none of the surface, or all.
+        """
         block, meshes = self.settings.optimize, [self.mesh]
         if self.mesh.is_block:
             meshes += [stage_mesh(self.mesh, s) for s in block.stages]
-        return block.shape.spline(
-            meshes, tuple(block.intervals), block.fixed_top
-        )
+        free = SphericalSpline(tuple(block.intervals), block.fixed_top)
+        kept, shape = set(), block.shape
+        points = np.concatenate([m.nodes[m.bare] for m in meshes])
+        if block.fixed_top:
+            # Below the origin's plane it feels more than its rows.
+            top = np.concatenate([m.nodes[m.fixed] for m in meshes])
+            low = top[top[:, 2] < -1e-9]
+            kept.update(free.around(low) if len(low) else ())
+        for k, corners in enumerate(shape.fixed_m):
+            low, high = np.sort(corners, axis=0)
+            inside = ((low <= points) & (points <= high)).all(axis=1)
+            if not inside.any():
+                raise InputError(
+                    f"optimize.shape.fixed_m[{k}]: no node of the sole's "
+                    "bare surface is in that box; give two corners in the "
+                    "sole's frame (top at z = 0), in metres"
+                )
+            kept |= set(free.around(points[inside]))
+        kept = tuple(sorted(kept))
+        return replace(free, symmetric=shape.symmetric, kept=kept)
 
     def law(self, sole: Sole) -> ContactLaw:
         """The contact law with the sole's own scale r."""

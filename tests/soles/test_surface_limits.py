@@ -117,10 +117,15 @@ def test_left_and_right_are_alike():
     assert spline.count == 4 * 4 + 2  # four of seven rows, and two poles
 
 
+def _spline(mesh, **optimize):
+    case = replace(Case.from_text(EXAMPLE), mesh=mesh)
+    return case.optimizing(**optimize).spline()
+
+
 def test_a_patch_stays():
     mesh = brick(SIZE, (12, 6, 3))
     block = ShapeBlock(fixed_m=(((0.08, -1, -1), (1, 1, 1)),))
-    spline = block.spline([mesh], (8, 8), False)
+    spline = _spline(mesh, intervals=(8, 8), shape=block)
     p = np.full(spline.count, 1.3)
     moved = np.linalg.norm(spline.deform(mesh.nodes, p) - mesh.nodes, axis=1)
     inside = mesh.nodes[mesh.bare, 0] >= 0.08
@@ -133,18 +138,21 @@ def test_a_patch_stays():
 
 
 def test_a_top_stays_that_is_not_level():
-    mesh = brick(SIZE, (6, 4, 2))
+    mesh, held = (
+        brick(SIZE, (6, 4, 2)),
+        {"intervals": (6, 6), "fixed_top": True},
+    )
     for toes in (0.0, 0.004, -0.004):
         nodes = mesh.nodes.copy()
         nodes[mesh.fixed, 2] += toes * (nodes[mesh.fixed, 0] > 0.1)
-        spline = ShapeBlock().spline([replace(mesh, nodes=nodes)], (6, 6), True)
+        spline = _spline(replace(mesh, nodes=nodes), **held)
         moved = spline.deform(nodes, np.full(spline.count, 1.3)) - nodes
         assert np.abs(moved[mesh.fixed]).max() < 1e-15
         assert np.abs(moved).max() > 1e-3
-    assert not ShapeBlock().spline([mesh], (6, 6), True).kept
+    assert not _spline(mesh, **held).kept
     below = replace(mesh, nodes=mesh.nodes - [0.0, 0.0, 0.05])
     with pytest.raises(InputError, match="origin lies in a top"):
-        ShapeBlock().spline([below], (6, 6), True).free_map()
+        _spline(below, **held).free_map()
 
 
 def test_a_patch_stays_on_the_meshes_of_all_stages():
