@@ -134,12 +134,18 @@ class Design:
         return dict(zip(TRACE, columns, strict=True))
 
     @property
-    def _told(self) -> dict[str, float]:
-        """Cost c by the last stage's smoothed law, the exact one's part off."""
+    def smoothed(self) -> tuple[float, float] | None:
+        """c_tr and c_rot by the last stage's smoothed law."""
         e = self.problem.evaluate(self.variables)
-        if e is None:
+        return None if e is None else (e.c_tr, e.c_rot)
+
+    @property
+    def _told(self) -> dict[str, float]:
+        """Their cost c, and by what part of it the exact law's differs."""
+        if self.smoothed is None:
             return {}
-        c = e.c_tr - self.setup.settings.cost.weight * e.c_rot
+        c_tr, c_rot = self.smoothed
+        c = c_tr - self.setup.settings.cost.weight * c_rot
         return {"c_smoothed": c, "exact_change": self.step.c / c - 1}
 
     def summary(self) -> dict:
