@@ -15,7 +15,6 @@ from drake_exo.calibration.start import settled
 from drake_exo.collocation.bushing_kernels import BushingKernel, EnergyKernel
 from drake_exo.collocation.kernels import (
     AppliedWrench,
-    BodyWrench,
     DynamicsKernel,
     FootGroundKernel,
     PoseKernel,
@@ -540,7 +539,7 @@ class PhaseProblem(Compiles, ABC):
         forces = self.tree.inverse_dynamics(q, v, a)
         forces -= movement.applied(q)
         for body, wrench in start.ground.items():
-            forces -= BodyWrench(self.tree, body).generalized(q, wrench)
+            forces -= self.tree.wrench_on_body(q, body, wrench)
         cuffs = {}
         for cuff, kinematics in self.bushings.items():
             _, cuffs[cuff], terms = self._cuff_at(x, cuff, q, contact)

@@ -33,7 +33,6 @@ from drake_exo.calibration.settings import (
     Population,
     PredictionSettings,
 )
-from drake_exo.collocation.kernels import BodyWrench
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import Design, links_above, movable
 from drake_exo.errors import InputError
@@ -660,7 +659,7 @@ class Size:
         moments = forces[:, names.joint_columns]
         given = self.mass * self.height * trial.moments[:, device]
         moments = moments + shared_moments(names, given - moments[:, device])
-        by_wrench = BodyWrench(model.tree, model.tree.root).by_wrench(q)
+        by_wrench = model.tree.by_wrench(q, model.tree.root)
         wrench = np.linalg.solve(
             by_wrench[:, names.root_columns],
             forces[:, names.root_columns, None],

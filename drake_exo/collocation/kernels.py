@@ -40,82 +40,6 @@ GROUND_MOMENT_UNIT = 10.0  # N m
 WRENCH_UNITS = np.array([FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT])
 
 
-class BodyWrench:
-    """What a wrench on one body does to a model.
-
-    Args:
-        tree: the model.
-        body: its name.
-    """
-
-    def __init__(self, tree: PlanarTree, body: str):
-        self._map = tree.angles_by_q
-        index = tree.body_index(body)
-        self._lever = tree.origins[index]
-        self._turn = tree.turning(body)
-
-    @property
-    def moved_by(self) -> np.ndarray:
-        """Coordinates that the body's motion depends on, (nq,) bool."""
-        moved = self._map[self._lever != 0.0].any(axis=0)
-        moved = moved | (self._turn != 0.0)
-        moved[:2] = True
-        return moved
-
-    def generalized(self, q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
-        """Generalized forces (n, nq) of wrenches (n, 3) at positions q.
-
-        Args:
-            q: (n, nq) positions.
-            wrench: F_x, F_z [N] and M_y = z F_x - x F_z about the
-                laboratory's origin [N m].
-        """
-        return np.einsum("nqw,nw->nq", self.by_wrench(q), wrench)
-
-    def by_wrench(self, q: np.ndarray) -> np.ndarray:
-        """Derivatives (n, nq, 3) of `generalized` by the wrench."""
-        x, z, dx, dz = self._point(q)
-        turn = self._turn
-        D = np.empty((*q.shape, 3), q.dtype)
-        # Angles are counter-clockwise, M_y is about y: clockwise.
-        D[:, :, 0] = dx + z[:, None] * turn
-        D[:, :, 1] = dz - x[:, None] * turn
-        D[:, :, 2] = -turn
-        D[:, 0, 0] += 1.0
-        D[:, 1, 1] += 1.0
-        return D
-
-    def by_positions(self, q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
-        """Derivatives (n, nq, nq) of `generalized` by q."""
-        w = self._directions(q)
-        F_x, F_z = wrench.T[:2, :, None]
-        # Of the lever's ends: d2p/dtheta2 = -w L.
-        ends = w * self._lever
-        bend = -(F_x * ends.real + F_z * ends.imag)
-        J = np.einsum(
-            "nk,ki,kj->nij", bend, self._map, self._map, optimize=True
-        )
-        _, _, slide_x, slide_z = self._point(q)
-        slide_x[:, 0] += 1.0
-        slide_z[:, 1] += 1.0
-        moved = F_x * slide_z - F_z * slide_x
-        return J + self._turn[None, :, None] * moved[:, None, :]
-
-    def _directions(self, q):
-        phi = q @ self._map.T
-        return np.cos(phi) + 1j * np.sin(phi)
-
-    def _point(self, q):
-        """x, z (n,) of the body, and derivatives by angles (n, nq)."""
-        phi = q @ self._map.T
-        c, s, L = np.cos(phi), np.sin(phi), self._lever
-        x = q[:, 0] + c @ L.real - s @ L.imag
-        z = q[:, 1] + s @ L.real + c @ L.imag
-        dx = (-s * L.real - c * L.imag) @ self._map
-        dz = (c * L.real - s * L.imag) @ self._map
-        return x, z, dx, dz
-
-
 class DynamicsKernel:
     """Inverse-dynamics residual of a model on the ground, in a device or not.
 
@@ -145,7 +69,7 @@ class DynamicsKernel:
         self._root = tree.coordinates.root_columns
         self._joints = tree.coordinates.joint_columns
         bodies = (tree.root,) if bodies is None else bodies
-        self._wrenches = [BodyWrench(tree, body) for body in bodies]
+        self._bodies = tuple(bodies)
         self._load = load
         sizes = [nq, nq, nq, len(self._joints), 3 * len(bodies)]
         self._cuts = np.cumsum(sizes)
@@ -163,9 +87,8 @@ class DynamicsKernel:
             pattern[:, column] = False
         first = self._cuts[2]
         pattern[self._joints, first + np.arange(len(self._joints))] = True
-        for i, wrench in enumerate(self._wrenches):
-            turned = wrench.moved_by.copy()
-            turned[[x, z]] = False
+        for i, body in enumerate(self._bodies):
+            turned = tree.moving(body) | (tree.turning(body) != 0.0)
             # Of a wrench about the laboratory's origin.
             pattern[np.ix_(turned, [x, z])] = True
             columns = self._cuts[3] + 3 * i + np.arange(3)
@@ -182,8 +105,9 @@ class DynamicsKernel:
         """See Kernel."""
         q, v, a, torque, ground, _ = np.split(x, self._cuts, axis=1)
         r = self.tree.inverse_dynamics(q, v, a)
-        for i, wrench in enumerate(self._wrenches):
-            r -= wrench.generalized(q, ground[:, 3 * i : 3 * i + 3])
+        for i, body in enumerate(self._bodies):
+            own = ground[:, 3 * i : 3 * i + 3]
+            r -= self.tree.wrench_on_body(q, body, own)
         r[:, self._joints] -= torque
         r /= FORCE_UNIT
         for bushing, force, places in self._cuffs:
@@ -201,11 +125,11 @@ class DynamicsKernel:
         parts = self.tree.inverse_dynamics_jacobians(q, v, a)
         for n, part in enumerate(parts):
             J[:, :, n * nq : (n + 1) * nq] = part
-        for i, wrench in enumerate(self._wrenches):
+        for i, body in enumerate(self._bodies):
             own = ground[:, 3 * i : 3 * i + 3]
-            J[:, :, :nq] -= wrench.by_positions(q, own)
+            J[:, :, :nq] -= self.tree.wrench_curvature(q, body, own)
             first = self._cuts[3] + 3 * i
-            J[:, :, first : first + 3] = -wrench.by_wrench(q)
+            J[:, :, first : first + 3] = -self.tree.by_wrench(q, body)
         J[:, self._joints, self._cuts[2] + np.arange(len(self._joints))] = -1.0
         J /= FORCE_UNIT
         for bushing, force, places in self._cuffs:
@@ -233,13 +157,10 @@ class PoseKernel:
     """
 
     def __init__(self, tree: PlanarTree, body: str):
+        self._tree, self._body = tree, body
         self._nq = nq = tree.num_positions
-        self._map = tree.angles_by_q
-        index = tree.body_index(body)
-        self._lever = tree.origins[index]
         self._turn = tree.turning(body)
-        self._offset = np.angle(tree.offsets[index])
-        moved = self._map[self._lever != 0.0].any(axis=0)
+        moved = tree.moving(body)
         pattern = np.zeros((6, 2 * nq + 6), bool)
         for row, column in ((0, 0), (1, 1)):
             pattern[row, :nq] = moved
@@ -254,18 +175,8 @@ class PoseKernel:
 
     def poses(self, q, v) -> np.ndarray:
         """x, z, angle and their rates, (n, 6)."""
-        arms, rate = self._arms(q), v @ self._map.T
-        p, dp = arms.sum(axis=1), (1j * rate * arms).sum(axis=1)
-        return np.column_stack(
-            [
-                q[:, 0] + p.real,
-                q[:, 1] + p.imag,
-                q @ self._turn + self._offset,
-                v[:, 0] + dp.real,
-                v[:, 1] + dp.imag,
-                v @ self._turn,
-            ]
-        )
+        place, angle, motion = self._tree.link_motion(q, v, self._body)
+        return np.column_stack([place.T, angle, motion.T])
 
     def evaluate(self, x, data):
         """See Kernel."""
@@ -274,17 +185,15 @@ class PoseKernel:
 
     def jacobian(self, x, data):
         """See Kernel."""
-        nq, T = self._nq, self._map
+        nq, T = self._nq, self._tree.angles_by_q
         q, v = x[:, :nq], x[:, nq : 2 * nq]
-        arms, rate = self._arms(q), v @ T.T
-        by_angle, by_rate = (1j * arms) @ T, (-rate * arms) @ T
         J = np.zeros((len(x), *self.sparsity.shape))
-        J[:, 0, :nq], J[:, 1, :nq] = by_angle.real, by_angle.imag
-        J[:, 0, 0] += 1.0
-        J[:, 1, 1] += 1.0
-        J[:, 2, :nq] = J[:, 5, nq : 2 * nq] = self._turn
-        J[:, 3, :nq], J[:, 4, :nq] = by_rate.real, by_rate.imag
-        J[:, 3:5, nq : 2 * nq] = J[:, :2, :nq]
+        J[:, :2, :nq] = self._tree.point_jacobian(q, self._body)
+        J[:, 2, :nq] = self._turn
+        # A rate turns what an arm changes by: (-z, x) to (-x, -z).
+        arms = self._tree.arms(q, self._body)
+        J[:, 3:5, :nq] = (-(v @ T.T) * arms @ T).transpose(1, 0, 2)
+        J[:, 3:, nq : 2 * nq] = J[:, :3, :nq]
         J[:, np.arange(6), 2 * nq + np.arange(6)] = -1.0
         return J
 
@@ -293,23 +202,18 @@ class PoseKernel:
 
         Stiff spheres weigh on the ties between their feet and the joints.
         """
-        nq, T = self._nq, self._map
-        arms, rate = self._arms(x[:, :nq]), x[:, nq : 2 * nq] @ T.T
-        place = weights[:, 0] + 1j * weights[:, 1]
-        motion = weights[:, 3] + 1j * weights[:, 4]
-        # d2p/dphi2 = -arm; dp' = i rate arm.
-        by_phi = -(np.conj(place)[:, None] * arms).real
-        by_phi += (np.conj(motion)[:, None] * (-1j * rate * arms)).real
-        across = -(np.conj(motion)[:, None] * arms).real
+        nq, tree = self._nq, self._tree
+        arm_x, arm_z = tree.arms(x[:, :nq], self._body)
+        rate = x[:, nq : 2 * nq] @ tree.angles_by_q.T
+        place_x, place_z, _, motion_x, motion_z, _ = weights.T[:, :, None]
+        along = motion_x * arm_x + motion_z * arm_z
+        across = motion_x * arm_z - motion_z * arm_x
+        by_phi = rate * across - (place_x * arm_x + place_z * arm_z)
         H = np.zeros((len(x), x.shape[1], x.shape[1]))
-        H[:, :nq, :nq] = np.einsum("nk,ki,kj->nij", by_phi, T, T, optimize=True)
-        mixed = np.einsum("nk,ki,kj->nij", across, T, T, optimize=True)
+        H[:, :nq, :nq] = tree.turned_twice(by_phi)
+        mixed = tree.turned_twice(-along)
         H[:, :nq, nq : 2 * nq] = H[:, nq : 2 * nq, :nq] = mixed
         return H
-
-    def _arms(self, q):
-        phi = q @ self._map.T
-        return (np.cos(phi) + 1j * np.sin(phi)) * self._lever
 
 
 class FootGroundKernel:
@@ -571,8 +475,9 @@ class AppliedWrench:
         parts: Sequence[tuple[Mapping[str, float], np.ndarray]],
     ):
         self._spline = CubicSpline(times, np.hstack([w for _, w in parts]))
+        self._tree = tree
         self._bodies = [
-            (slice(3 * i, 3 * i + 3), share, BodyWrench(tree, name))
+            (slice(3 * i, 3 * i + 3), share, name)
             for i, (shares, _) in enumerate(parts)
             for name, share in shares.items()
         ]
@@ -584,13 +489,15 @@ class AppliedWrench:
     def generalized(self, q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         """Generalized forces (n, nq) of wrenches (n, 3 m) at positions q."""
         return sum(
-            k * b.generalized(q, wrench[:, own]) for own, k, b in self._bodies
+            share * self._tree.wrench_on_body(q, body, wrench[:, own])
+            for own, share, body in self._bodies
         )
 
     def by_positions(self, q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         """Derivatives (n, nq, nq) of `generalized` by q."""
         return sum(
-            k * b.by_positions(q, wrench[:, own]) for own, k, b in self._bodies
+            share * self._tree.wrench_curvature(q, body, wrench[:, own])
+            for own, share, body in self._bodies
         )
 
 

@@ -556,26 +556,6 @@ def leg_angles(model: MarkerModel, poses: Poses) -> dict[str, np.ndarray]:
     return found
 
 
-def wrench_on_body(
-    model: PlanarTree, q: np.ndarray, body: str, wrench: PlanarWrench
-) -> np.ndarray:
-    """Generalized forces (N, nq) of a wrench about the world's origin.
-
-    Args:
-        model: the dynamics.
-        q: (N, nq) positions.
-        body: the body that the wrench acts on.
-        wrench: force [N] and moment M_y about the origin [N m].
-    """
-    p = model.point_positions(q, body, (0, 0))
-    J = model.point_jacobian(q, body, (0, 0))
-    F_x, F_z = wrench.force.T
-    moment = wrench.moment - (p[:, 1] * F_x - p[:, 0] * F_z)
-    Q = np.einsum("nij,ni->nj", J, wrench.force)
-    # M_y is about y, angles are about -y.
-    return Q - moment[:, None] * model.turning(body)
-
-
 def inverse_dynamics(
     model: PlanarTree,
     q: np.ndarray,
@@ -600,7 +580,7 @@ def inverse_dynamics(
     """
     Q = model.inverse_dynamics(q, v, a)
     for body, wrench in loads.items():
-        Q = Q - wrench_on_body(model, q, body, wrench)
+        Q = Q - model.wrench_on_body(q, body, wrench.array)
     return Q
 
 
@@ -622,7 +602,7 @@ def from_the_ground_up(
         (N, nq) with joint moments changed.
     """
     residual = PlanarWrench.of(model.ground_reaction(q, Q))
-    return Q - wrench_on_body(model, q, "pelvis", residual)
+    return Q - model.wrench_on_body(q, "pelvis", residual.array)
 
 
 def carried(

@@ -120,14 +120,23 @@ class PlanarTree:
             raise KeyError(f"no body '{name}'; there are {self.names}")
         return self.names.index(name)
 
-    def _lever(self, body: str, p_BoP: np.ndarray) -> np.ndarray:
+    def _lever(self, body: str, p_BoP) -> np.ndarray:
         index = self.body_index(body)
         lever = self.origins[index].copy()
         point = self.offsets[index] * (p_BoP[0] + 1j * p_BoP[1])
         lever[self.segment_of[index]] += point
         return lever
 
-    def point_positions(self, q, body: str, p_BoP) -> np.ndarray:
+    def arms(self, q, body: str, p_BoP=(0.0, 0.0)) -> np.ndarray:
+        """What each segment adds to p_WP, x and z: (2, N, ns) [m].
+
+        By its segment's angle an arm (x, z) changes by (-z, x).
+        """
+        phi, L = self.segment_angles(q), self._lever(body, p_BoP)
+        c, s = np.cos(phi), np.sin(phi)
+        return np.stack([c * L.real - s * L.imag, s * L.real + c * L.imag])
+
+    def point_positions(self, q, body: str, p_BoP=(0.0, 0.0)) -> np.ndarray:
         """Positions p_WP (N, 2) [m] of a point fixed in a body.
 
         Args:
@@ -136,21 +145,19 @@ class PlanarTree:
             p_BoP: (2,) x and z of the point in B's frame [m].
 
         """
-        w = np.exp(1j * self.segment_angles(q))
-        p = w @ self._lever(body, np.asarray(p_BoP, float))
-        return q[:, :2] + np.stack([p.real, p.imag], axis=1)
+        return q[:, :2] + self.arms(q, body, p_BoP).sum(axis=2).T
 
-    def point_jacobian(self, q, body: str, p_BoP) -> np.ndarray:
+    def point_jacobian(self, q, body: str, p_BoP=(0.0, 0.0)) -> np.ndarray:
         """d(p_WP)/dq, shape (N, 2, nq), of a point fixed in a body."""
-        w = np.exp(1j * self.segment_angles(q))
-        dp = (1j * w * self._lever(body, np.asarray(p_BoP, float))) @ (
-            self.angle_map
-        )
-        J = np.zeros((len(q), 2, self.num_positions))
-        J[:, 0, 0] = J[:, 1, 1] = 1.0
-        J[:, 0, 2:] = dp.real
-        J[:, 1, 2:] = dp.imag
+        x, z = self.arms(q, body, p_BoP) @ self.angles_by_q
+        J = np.stack([-z, x], axis=1)
+        J[:, [0, 1], [0, 1]] = 1.0
         return J
+
+    def moving(self, body: str) -> np.ndarray:
+        """Angles that turn the way to a body's origin, (nq,) bool."""
+        lever = self.origins[self.body_index(body)]
+        return self.angles_by_q[lever != 0.0].any(axis=0)
 
     def body_angles(self, q, body: str) -> np.ndarray:
         """Absolute angle (N,) [rad] of a body, counter-clockwise."""
@@ -180,6 +187,46 @@ class PlanarTree:
             self.body_angles(q, body),
             np.vstack([velocity, v @ self.turning(body)]),
         )
+
+    def by_wrench(self, q, body: str) -> np.ndarray:
+        """Generalized forces by a wrench on a body, (N, nq, 3).
+
+        Args:
+            q: (N, nq) positions.
+            body: its name.
+
+        Returns:
+            By F_x, F_z [N] and M_y = z F_x - x F_z about the world's origin
+            [N m].
+        """
+        x, z = self.point_positions(q, body).T[:, :, None]
+        dx, dz = self.point_jacobian(q, body).transpose(1, 0, 2)
+        # Angles are counter-clockwise, M_y is about y: clockwise.
+        turn = np.broadcast_to(self.turning(body), dx.shape)
+        return np.stack([dx + z * turn, dz - x * turn, -turn], axis=2)
+
+    def wrench_on_body(self, q, body: str, wrench: np.ndarray) -> np.ndarray:
+        """Generalized forces (N, nq) of a wrench (N, 3), see `by_wrench`."""
+        return np.einsum("nqw,nw->nq", self.by_wrench(q, body), wrench)
+
+    def wrench_curvature(self, q, body: str, wrench: np.ndarray) -> np.ndarray:
+        """Derivatives by q (N, nq, nq) of generalized forces of a wrench.
+
+        Args:
+            q, body: as in `by_wrench`.
+            wrench: (N, 3), which stays.
+        """
+        x, z = self.arms(q, body)
+        F_x, F_z = wrench.T[:2, :, None]
+        dx, dz = self.point_jacobian(q, body).transpose(1, 0, 2)
+        J = self.turned_twice(-(F_x * x + F_z * z))
+        moved = F_x * dz - F_z * dx
+        return J + self.turning(body)[None, :, None] * moved[:, None, :]
+
+    def turned_twice(self, weights: np.ndarray) -> np.ndarray:
+        """Hessians (N, nq, nq) by q of what has (N, ns) by squared angles."""
+        T = self.angles_by_q
+        return np.einsum("nk,ki,kj->nij", weights, T, T, optimize=True)
 
     def turned_alone(self, bodies, columns) -> np.ndarray:
         """Change of all coordinates (m, nq) if each body alone turns by 1.

@@ -38,7 +38,6 @@ from drake_exo.contact.systems import (
     to_body,
 )
 from drake_exo.files.schema import quantity
-from drake_exo.measurement.kinematics import wrench_on_body
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce
 from drake_exo.model.assembly import SIDES
@@ -300,16 +299,14 @@ def applied(
     v,
 ) -> np.ndarray:
     """Generalized forces (N, nq) of ground, chair and cuffs together."""
-    loads = sum(
-        wrench_on_body(tree, q, foot, ground_wrench(tree, contact, q, v, foot))
-        for foot in feet(tree)
-    )
-    loads += wrench_on_body(tree, q, "pelvis", chair_wrench(tree, seat, q, v))
+    parts = [
+        (foot, ground_wrench(tree, contact, q, v, foot)) for foot in feet(tree)
+    ]
+    parts.append(("pelvis", chair_wrench(tree, seat, q, v)))
     for name, w in interaction(tree, cuffs, q, v)[1].items():
         human, device = tree.cuffs[name]
-        loads += wrench_on_body(tree, q, human, w)
-        loads += wrench_on_body(tree, q, device, w.reversed())
-    return loads
+        parts += [(human, w), (device, w.reversed())]
+    return sum(tree.wrench_on_body(q, body, w.array) for body, w in parts)
 
 
 def _total(wrench) -> PlanarWrench:

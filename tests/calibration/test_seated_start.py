@@ -11,7 +11,6 @@ from drake_exo.calibration.phases import FootGroundCalibration
 from drake_exo.calibration.settings import FootGroundSettings
 from drake_exo.measurement.kinematics import (
     inverse_dynamics,
-    wrench_on_body,
 )
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
@@ -91,7 +90,7 @@ def test_newton_holds_with_the_chair_where_the_pelvis_really_is(
     chair = seated.sample(found.times).chair
     left = inverse_dynamics(tree, found.q, found.v, found.a, {"pelvis": chair})
     left[:, found.coordinates.joint_columns] -= found.moments
-    left -= wrench_on_body(tree, found.q, "foot", found.ground)
+    left -= tree.wrench_on_body(found.q, "foot", found.ground.array)
     assert np.abs(left).max() < 1e-4
 
 

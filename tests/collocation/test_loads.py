@@ -6,7 +6,6 @@ from drake_exo.collocation.kernels import (
     AppliedWrench,
     DynamicsKernel,
 )
-from drake_exo.measurement.kinematics import wrench_on_body
 from drake_exo.measurement.sagittal import PlanarWrench
 
 TIMES = np.linspace(0.0, 1.0, 12)
@@ -37,9 +36,9 @@ def test_is_what_inverse_dynamics_takes_a_wrench_for(tree, load):
     expected = 0.0
     for body, share in (("pelvis", 0.7), ("thigh", 0.3)):
         part = PlanarWrench(share * w[:, :2], share * w[:, 2])
-        expected = expected + wrench_on_body(tree, q, body, part)
+        expected = expected + tree.wrench_on_body(q, body, part.array)
     carried = PlanarWrench(w[:, 3:5], w[:, 5])
-    expected = expected + wrench_on_body(tree, q, "shank", carried)
+    expected = expected + tree.wrench_on_body(q, "shank", carried.array)
     np.testing.assert_allclose(load.generalized(q, w), expected, atol=1e-9)
 
 

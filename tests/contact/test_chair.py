@@ -8,7 +8,6 @@ from drake_exo.contact.systems import Chair
 from drake_exo.errors import InputError
 from drake_exo.measurement.kinematics import (
     inverse_dynamics,
-    wrench_on_body,
 )
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.model.plant import nominal_model
@@ -71,7 +70,7 @@ def test_acts_as_inverse_dynamics_takes_it(plant, shares):
         part = PlanarWrench(
             share * WRENCH[k : k + 1, :2], share * WRENCH[k : k + 1, 2]
         )
-        expected = expected + wrench_on_body(tree, Q[None], body, part)
+        expected = expected + tree.wrench_on_body(Q[None], body, part.array)
     np.testing.assert_allclose(found, expected[0], atol=1e-9)
 
 
@@ -92,7 +91,7 @@ def test_bears_a_seated_body_at_rest(plant):
     ground = model.diagram.GetOutputPort("ground_reaction").Eval(context)
     missing = M @ derivative[6:]
     foot = PlanarWrench(ground[None, :2], ground[None, 2])
-    missing -= wrench_on_body(tree, q, "foot", foot)[0]
+    missing -= tree.wrench_on_body(q, "foot", foot.array)[0]
     np.testing.assert_allclose(missing[:3], -left[:3], atol=1e-6)
     np.testing.assert_allclose(missing[3:], 0.0, atol=1e-6)
 

@@ -15,7 +15,6 @@ from drake_exo.files.tables import MarkerData, Table
 from drake_exo.measurement.filters import derivatives
 from drake_exo.measurement.kinematics import (
     inverse_dynamics,
-    wrench_on_body,
 )
 from drake_exo.measurement.processing import Recordings
 from drake_exo.measurement.sagittal import PlanarWrench
@@ -93,7 +92,7 @@ def record(human, gravity=9.81, kind="human"):
     )
     Q = inverse_dynamics(tree, q, v, a, {"pelvis": chair})
     wrench = PlanarWrench.of(tree.ground_reaction(q, Q))
-    left = wrench_on_body(tree, q, "foot", wrench) - Q
+    left = tree.wrench_on_body(q, "foot", wrench.array) - Q
     assert np.abs(left[:, :3]).max() < 1e-8
     return Recording(tree, time, q, wrench, chair)
 

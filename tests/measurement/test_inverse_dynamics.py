@@ -24,13 +24,13 @@ from drake_exo.files.tables import uniform_time
 from drake_exo.measurement.filters import derivatives, resample
 from drake_exo.measurement.kinematics import (
     inverse_dynamics,
-    wrench_on_body,
 )
 from drake_exo.measurement.sagittal import (
     Axes,
     PlanarWrench,
     spatial_wrench,
 )
+from drake_exo.model.planar_tree import PlanarTree
 
 COORDINATES = (
     "pelvis_tx",
@@ -49,6 +49,10 @@ FORCES = ("pelvis_tx", "pelvis_ty")
 
 class DrakeModel:
     """A Drake plant evaluated state by state, seen in two of its axes."""
+
+    # Of its own points, Jacobians and turns.
+    by_wrench = PlanarTree.by_wrench
+    wrench_on_body = PlanarTree.wrench_on_body
 
     def __init__(self, plant, axes):
         self.plant, self.axes = plant, list(axes)
@@ -88,7 +92,7 @@ class DrakeModel:
         p[self.axes] = p_BoP
         return p
 
-    def point_positions(self, q, body, p_BoP):
+    def point_positions(self, q, body, p_BoP=(0.0, 0.0)):
         frame = self.plant.GetFrameByName(body)
         world = self.plant.world_frame()
         return self._each(
@@ -98,7 +102,7 @@ class DrakeModel:
             )[self.axes, 0],
         )
 
-    def point_jacobian(self, q, body, p_BoP):
+    def point_jacobian(self, q, body, p_BoP=(0.0, 0.0)):
         frame = self.plant.GetFrameByName(body)
         world = self.plant.world_frame()
         return self._each(
@@ -283,8 +287,8 @@ def test_batched_tree_and_drake_agree_on_wrenches(nominal):
     wrench = PlanarWrench(rng.normal(size=(4, 2)), rng.normal(size=4))
     for body in ("foot", "thigh", "pelvis"):
         np.testing.assert_allclose(
-            wrench_on_body(tree, q, body, wrench),
-            wrench_on_body(drake, q, body, wrench),
+            tree.wrench_on_body(q, body, wrench.array),
+            drake.wrench_on_body(q, body, wrench.array),
             atol=1e-10,
         )
     np.testing.assert_allclose(

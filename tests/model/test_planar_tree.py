@@ -11,7 +11,6 @@ from pydrake.multibody.tree import (
     WeldJoint,
 )
 
-from drake_exo.measurement.kinematics import wrench_on_body
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.model.planar_tree import PlanarTree
 
@@ -159,7 +158,7 @@ def test_ground_reaction_takes_the_place_of_the_roots_forces():
     tree = PlanarTree.from_plant(_plant())
     q, Q, _ = _states(5)
     wrench = PlanarWrench.of(tree.ground_reaction(q, Q))
-    found = wrench_on_body(tree, q, tree.root, wrench)
+    found = tree.wrench_on_body(q, tree.root, wrench.array)
     np.testing.assert_allclose(found[:, :3], Q[:, :3], atol=1e-12)
     assert not found[:, 3:].any()
     assert tree.weight == pytest.approx(11.7 * 9.81)
