@@ -14,6 +14,7 @@ the foot bears nothing it is carried clear of the ground.
 """
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import gaussian_filter1d
 
 from drake_exo.collocation.kernels import FootGroundKernel
@@ -36,6 +37,7 @@ _TILTS = 30  # bisections of the pitch, where there are more than two spheres
 _LARGEST_SLOPE = 0.5  # sine of the foot's tilt
 _PASSES = 3
 _X, _Z, _RADIUS = (SPHERE_PARAMETERS.index(k) for k in ("x", "z", "radius"))
+_PLACE = [_X, _Z]
 
 
 def settle_foot(
@@ -82,8 +84,7 @@ def settle_foot(
         slip = slip_velocity(kernel, spheres, loads, ground[:, 0])
         v = np.gradient(q, times, axis=0)
         v[:, 0] = slip - (q[:, 1] - height) * v[:, 2]
-        steps = 0.5 * np.diff(times) * (v[1:, 0] + v[:-1, 0])
-        drift = np.r_[0.0, np.cumsum(steps)]
+        drift = cumulative_trapezoid(v[:, 0], times, initial=0.0)
     return q, v
 
 
@@ -118,7 +119,7 @@ def _loads(spheres, q, ground, height):
         ground: (n, 3) reaction.
         height: (n,) of the point where it acts [m].
     """
-    x = q[:, :1] + _ahead(spheres, q[:, 2])
+    x = q[:, :1] + _reach(spheres[:, _PLACE], q[:, 2])[0]
     total = np.maximum(ground[:, 1], 2.0 * _LEAST_FORCE)
     center = (height * ground[:, 0] - ground[:, 2]) / total
     share = (center - x[:, 0]) / (x[:, 1] - x[:, 0])
@@ -127,10 +128,16 @@ def _loads(spheres, q, ground, height):
     return np.maximum(loads, _LEAST_FORCE)
 
 
-def _ahead(spheres, pitch):
-    """How far (n, m) centres are before the foot's origin [m]."""
-    x, z = spheres[:, _X], spheres[:, _Z]
-    return np.outer(np.cos(pitch), x) - np.outer(np.sin(pitch), z)
+def _reach(places, pitch):
+    """How far centres are before and above the foot's origin, (2, n, m) [m].
+
+    Args:
+        places: (m, 2) in the foot, or (n, m, 2).
+        pitch: (n,).
+    """
+    c, s = np.cos(pitch)[:, None], np.sin(pitch)[:, None]
+    x, z = places[..., 0], places[..., 1]
+    return np.stack([c * x - s * z, s * x + c * z])
 
 
 def _depths(kernel, spheres, loads):
@@ -165,37 +172,39 @@ def _together(kernel, spheres, q, loads):
     Returns:
         Height and pitch (n, 2), loads and indentations (n, m).
     """
-    _, _, px, pz, r = spheres.T
-    total = loads.sum(axis=1)
-    moment = np.sum(loads * _ahead(spheres[[0, -1]], q[:, 2]), axis=1)
+    places, total = spheres[:, _PLACE], loads.sum(axis=1)
+    ahead, _ = _reach(places[[0, -1]], q[:, 2])
+    moment = np.sum(loads * ahead, axis=1)
 
     def settled(pitch):
-        """Height (n,) that gives the force, and the indentations."""
-        below = r - np.outer(np.sin(pitch), px) - np.outer(np.cos(pitch), pz)
-        return sunk(kernel, spheres, below, total)
+        return sunk(kernel, spheres, places, pitch, total, _CLEARANCE)
 
     def behind(pitch):
-        force = static_force(kernel, spheres, settled(pitch)[1])
-        return moment - np.sum(force * _ahead(spheres, pitch), axis=1)
+        *_, force = settled(pitch)
+        return moment - np.sum(force * _reach(places, pitch)[0], axis=1)
 
-    level = -np.arctan2(pz[-1] - pz[0], px[-1] - px[0])
-    tilt = np.arcsin(_LARGEST_SLOPE)
+    x, z = places[-1] - places[0]
+    level, tilt = -np.arctan2(z, x), np.arcsin(_LARGEST_SLOPE)
     pitch = bisected(behind, level - tilt, level + tilt, total.shape, _TILTS)
-    height, depths = settled(pitch)
-    forces = static_force(kernel, spheres, depths)
+    height, depths, forces = settled(pitch)
     return np.column_stack([height, pitch]), forces, depths
 
 
-def sunk(kernel, spheres, below, force, clearance=_CLEARANCE):
-    """Height (n,) of a foot that gives a force, and indentations (n, m) [m].
+def sunk(kernel, spheres, places, pitch, force, clearance):
+    """Height of a foot that gives a force.
 
     Args:
         kernel: the law.
         spheres: parameters (m, 5).
-        below: (n, m) how far spheres reach below the foot's origin.
+        places: (n, m, 2) or (m, 2) their centres in the foot [m].
+        pitch: (n,) of the foot.
         force: (n,) vertical one of all of them [N].
         clearance: above the ground, where there is none.
+
+    Returns:
+        Height (n,), indentations (n, m) [m] and forces (n, m) [N].
     """
+    below = spheres[:, _RADIUS] - _reach(places, pitch)[1]
     lowest = below.max(axis=1)
 
     def excess(depth):
@@ -203,7 +212,8 @@ def sunk(kernel, spheres, below, force, clearance=_CLEARANCE):
         return static_force(kernel, spheres, depths).sum(axis=1) - force
 
     height = lowest - bisected(excess, -clearance, _DEEPEST, force.shape)
-    return height, below - height[:, None]
+    depths = below - height[:, None]
+    return height, depths, static_force(kernel, spheres, depths)
 
 
 def static_force(kernel, spheres, depths):
@@ -311,13 +321,14 @@ def settle_rolling(
         width = _SMOOTH_S / (times[1] - times[0])
         q[:, 2] += gaussian_filter1d(off, width, mode="nearest")
         height = q[:, 1].copy()
-        height[loaded] = _heights(
+        height[loaded], *_ = sunk(
             kernel,
             spheres,
             places[loaded],
             q[loaded, 2],
             ground[loaded, 1],
-        )[0]
+            _HIGHEST_M,
+        )
         q[:, 1] += _bridged(height - q[:, 1], loaded, times)
     _, below = _reach(places, q[:, 2])
     lowest = (q[:, 1, None] + below - spheres[:, _RADIUS]).min(axis=1)
@@ -330,21 +341,6 @@ def settle_rolling(
     return q, v
 
 
-def _reach(places, pitch):
-    """How far (n, m) centres are before and above the foot's origin [m]."""
-    c, s = np.cos(pitch)[:, None], np.sin(pitch)[:, None]
-    x, z = places[..., 0], places[..., 1]
-    return c * x - s * z, s * x + c * z
-
-
-def _heights(kernel, spheres, places, pitch, force):
-    """Height (n,) of the foot that gives a force, and forces (n, m)."""
-    _, up = _reach(places, pitch)
-    below = spheres[:, _RADIUS] - up
-    height, depths = sunk(kernel, spheres, below, force, _HIGHEST_M)
-    return height, static_force(kernel, spheres, depths)
-
-
 def _pitches(kernel, spheres, places, q, ground, loaded):
     """Turn (k,) of the loaded foot that moves its load under the force."""
     places, at, w = places[loaded], q[loaded], ground[loaded]
@@ -354,7 +350,7 @@ def _pitches(kernel, spheres, places, q, ground, loaded):
         """Toes up, and the force goes back."""
         pitch = at[:, 2] + turn
         ahead, _ = _reach(places, pitch)
-        _, force = _heights(kernel, spheres, places, pitch, w[:, 1])
+        *_, force = sunk(kernel, spheres, places, pitch, w[:, 1], _HIGHEST_M)
         return centre - np.sum(force * ahead, axis=1) / force.sum(axis=1)
 
     turn = bisected(behind, -_PITCH_RAD, _PITCH_RAD, centre.shape, _PITCHES)
@@ -372,9 +368,7 @@ def _creep(kernel, spheres, places, times, q, v, ground, rows) -> None:
     height = _height(kernel.law, spheres, force, depths)
     slip = slip_velocity(kernel, spheres, force, ground[rows, 0])
     v[rows, 0] = slip - (q[rows, 1] - height) * v[rows, 2]
-    t = times[rows]
-    steps = 0.5 * np.diff(t) * (v[rows][1:, 0] + v[rows][:-1, 0])
-    path = np.r_[0.0, np.cumsum(steps)]
+    path = cumulative_trapezoid(v[rows, 0], times[rows], initial=0.0)
     # Kept about the measured place, most of all where it bears most.
     weight = ground[rows, 1]
     q[rows, 0] = path + np.average(q[rows, 0] - path, weights=weight)

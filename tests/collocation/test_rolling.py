@@ -250,8 +250,10 @@ def test_a_foot_sinks_until_it_bears():
     spheres = np.array([[*vars(s).values()] for s in SPHERES.values()])
     below = np.array([[0.09, 0.088], [0.05, 0.07]])
     force = np.array([700.0, 300.0])
-    height, depths = initial_guess.sunk(kernel, spheres, below, force)
+    places = np.stack([0.0 * below, spheres[:, 4] - below], axis=2)
+    height, depths, bears = initial_guess.sunk(
+        kernel, spheres, places, np.zeros(2), force, 0.05
+    )
     np.testing.assert_allclose(depths, below - height[:, None])
-    bears = initial_guess.static_force(kernel, spheres, depths)
     np.testing.assert_allclose(bears.sum(axis=1), force, rtol=1e-6)
     assert bears[1, 0] < 5.0 < 50.0 < bears[0, 1]
