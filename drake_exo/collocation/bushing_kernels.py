@@ -131,20 +131,17 @@ class BushingKernel:
         H[:, -1, -1] = w[:, 0] * by_slips
         w[:, 0] *= slipping(force, slip)[0]
         H[:, :nq, :nq] += b.curvature(terms, w * stiffness)
-        by_qo = b.gradient_by_places(turns, w * stiffness)
-        by_qk = (w[:, :, None] * D).transpose(0, 2, 1)
-        by_ok = np.zeros((len(x), b.num_places, 3))
-        by_ok[:, :, :2] = (w[:, :2, None] * b.by_places(turns)).transpose(
-            0, 2, 1
-        )
-        for rows, columns, part in (
-            (slice(nq), o, by_qo),
-            (slice(nq), k, by_qk),
-            (o, k, by_ok),
-        ):
-            H[:, rows, columns] += part
-            H[:, columns, rows] += part.transpose(0, 2, 1)
+        _add_pair(H, slice(nq), o, b.gradient_by_places(turns, w * stiffness))
+        _add_pair(H, slice(nq), k, np.swapaxes(w[:, :, None] * D, 1, 2))
+        across = slice(k.start, k.start + ROTATION)
+        _add_pair(H, across, o, w[:, :2, None] * b.by_places(turns))
         return H
+
+
+def _add_pair(H, rows, columns, part) -> None:
+    """Add a block and its mirror to Hessians (n, m, m)."""
+    H[:, rows, columns] += part
+    H[:, columns, rows] += np.swapaxes(part, 1, 2)
 
 
 def slipping(force, slip) -> tuple[np.ndarray, np.ndarray]:
@@ -315,11 +312,6 @@ class DesignDynamicsKernel(DynamicsKernel):
         nq = self.num_positions
         q, w = x[:, :nq], weights / FORCE_UNIT
         H = np.zeros((len(x), x.shape[1], x.shape[1]))
-
-        def add(rows, columns, part):
-            H[:, rows, columns] += part
-            H[:, columns, rows] += np.swapaxes(part, 1, 2)
-
         for bushing, f, p in self._cuffs:
             force = x[:, f]
             terms = bushing.led(bushing.terms(q, x[:, p]), w)
@@ -327,16 +319,16 @@ class DesignDynamicsKernel(DynamicsKernel):
             H[:, :nq, :nq] += bushing.curvature(terms, force)
             by_q = bushing.deflection_jacobian(terms)[:, :ROTATION]
             across = slice(f.start, f.start + ROTATION)
-            add(across, slice(nq), by_q)
-            add(across, p, bushing.by_places(turns))
-            add(slice(nq), p, bushing.gradient_by_places(turns, force))
+            _add_pair(H, across, slice(nq), by_q)
+            _add_pair(H, across, p, bushing.by_places(turns))
+            _add_pair(H, slice(nq), p, bushing.gradient_by_places(turns, force))
         for place, by_q, weight in self._moved:
             turned = weight * np.exp(1j * (q @ by_q)) * (w @ by_q)
             own = np.outer(by_q, by_q)
             bend = -turned.real * x[:, place]
             H[:, :nq, :nq] += bend[:, None, None] * own
             lever = -turned.imag[:, None, None] * by_q[:, None]
-            add(slice(nq), slice(place, place + 1), lever)
+            _add_pair(H, slice(nq), slice(place, place + 1), lever)
         return H
 
 
@@ -449,8 +441,8 @@ class AssistanceKernel:
         first, last = self._at
         H = np.zeros((len(x), x.shape[1], x.shape[1]))
         part = slope[:, :, None] * change[:, None] / MOMENT_UNIT
-        H[:, first:last, last:] = -weights[:, :1, None] * part
-        H[:, last:, first:last] = H[:, first:last, last:].transpose(0, 2, 1)
+        part = -weights[:, :1, None] * part
+        _add_pair(H, slice(first, last), slice(last, None), part)
         return H
 
 
@@ -544,8 +536,7 @@ class MigrationKernel:
         H = np.zeros((len(x), x.shape[1], x.shape[1]))
         H[:, :nq, :nq] = b.curvature(b.terms(q, places), along)
         part = b.gradient_by_places(b.turns(q), along)
-        H[:, :nq, nq:-1] = part
-        H[:, nq:-1, :nq] = part.transpose(0, 2, 1)
+        _add_pair(H, slice(nq), slice(nq, -1), part)
         return H
 
 

@@ -242,7 +242,6 @@ class FootGroundKernel:
         self.curved_inputs = np.ones(n_in, bool)
         self.curved_inputs[8] = False
         self.curved_inputs[13 :: len(SPHERE_PARAMETERS)] = False
-        self._units = WRENCH_UNITS
 
     def wrench(self, x: np.ndarray) -> np.ndarray:
         """The law's F_x, F_z [N] and M_y about the laboratory's origin [N m].
@@ -266,7 +265,7 @@ class FootGroundKernel:
         """See Kernel."""
         off = self.wrench(x) - x[:, 6:9]
         off[:, 2] -= x[:, 1] * off[:, 0] - x[:, 0] * off[:, 1]
-        return off / self._units
+        return off / WRENCH_UNITS
 
     def jacobian(self, x, data):
         """See Kernel."""
@@ -278,7 +277,7 @@ class FootGroundKernel:
         J[:, 2] -= x[:, [1]] * J[:, 0] - x[:, [0]] * J[:, 1]
         J[:, 2, 0] += off[:, 1]
         J[:, 2, 1] -= off[:, 0]
-        return J / self._units[:, None]
+        return J / WRENCH_UNITS[:, None]
 
     def _add_sphere(self, J, x, s):
         """Add a sphere's derivatives; returns its force (n, 2)."""
@@ -310,12 +309,12 @@ class FootGroundKernel:
         """
         H = np.zeros((len(x), x.shape[1], x.shape[1]))
         # The foot moves what the moment is about.
-        turning = (weights[:, 2] / self._units[2])[:, None]
-        J = self.jacobian(x, data) * self._units[:, None]
+        turning = (weights[:, 2] / WRENCH_UNITS[2])[:, None]
+        J = self.jacobian(x, data) * WRENCH_UNITS[:, None]
         for k, by_place in ((0, turning * J[:, 1]), (1, -turning * J[:, 0])):
             H[:, k] += by_place
             H[:, :, k] += by_place
-        weights = weights / self._units
+        weights = weights / WRENCH_UNITS
         weights[:, 0] -= x[:, 1] * weights[:, 2]
         weights[:, 1] += x[:, 0] * weights[:, 2]
         for s in range(self.num_spheres):
