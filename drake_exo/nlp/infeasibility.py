@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 
 from drake_exo.errors import InputError
 from drake_exo.nlp.sparse import SparseProgram
@@ -169,9 +170,18 @@ class ElasticProgram:
     def __init__(self, problem: SparseProgram, kinds, weight: float):
         self._problem = problem
         self._weight = weight
-        columns, rows = problem.relaxable(kinds)
-        self._columns, self._rows = columns, rows
-        self._A = problem.rows.linear[rows]
+        known = problem.program.labelled
+        labelled = [i for kind in kinds for i in known.get(kind, [])]
+        columns = problem.unknowns.bounding(labelled)
+        rows = problem.rows.bounding(labelled)
+        self._variables = np.r_[
+            problem.unknowns.variable_of(columns),
+            problem.rows.variable_of(rows),
+        ]
+        unit = sp.eye_array(problem.num_unknowns, format="csr")
+        self._ends = sp.vstack(
+            [unit[columns], problem.rows.linear[rows]], format="csr"
+        )
         self._lower = np.r_[problem.y_lower[columns], problem.g_lower[rows]]
         self._upper = np.r_[problem.y_upper[columns], problem.g_upper[rows]]
         self.num_springs = len(self._lower)
@@ -179,32 +189,25 @@ class ElasticProgram:
         self.y_upper = _with(problem.y_upper, columns, np.inf)
         self.g_lower = _with(problem.g_lower, rows, -np.inf)
         self.g_upper = _with(problem.g_upper, rows, np.inf)
-        self._lay_out_hessian()
-
-    def _lay_out_hessian(self):
-        """Own entries come after the problem's; IPOPT adds duplicates."""
-        A = self._A.tocsr()
-        spring, i, j, value = [], [], [], []
-        for row in range(A.shape[0]):
-            part = slice(A.indptr[row], A.indptr[row + 1])
-            index, data = A.indices[part], A.data[part]
-            first, second = np.meshgrid(index, index, indexing="ij")
-            keep = first >= second
-            spring.append(np.full(keep.sum(), len(self._columns) + row))
-            i.append(first[keep])
-            j.append(second[keep])
-            value.append(np.outer(data, data)[keep])
-        count = len(self._columns)
-        self._spring = np.concatenate([np.arange(count), *spring])
-        self._curvature = np.concatenate([np.ones(count), *value])
-        own = (
-            np.concatenate([self._columns, *part]).astype(np.int32)
-            for part in (i, j)
-        )
+        # Own entries come after the problem's; IPOPT adds duplicates.
+        own = [self._entries(k) for k in range(self.num_springs)]
+        spring, *place, self._curvature = np.hstack([np.zeros((4, 0)), *own])
+        self._spring = spring.astype(int)
         self.hessian_structure = tuple(
-            np.concatenate(pair)
-            for pair in zip(self._problem.hessian_structure, own, strict=True)
+            np.concatenate([others, part.astype(np.int32)])
+            for others, part in zip(
+                problem.hessian_structure, place, strict=True
+            )
         )
+
+    def _entries(self, spring: int) -> np.ndarray:
+        """Its number, row, column and curvature, of each in the Hessian."""
+        ends = self._ends
+        part = slice(ends.indptr[spring], ends.indptr[spring + 1])
+        index, data = ends.indices[part], ends.data[part]
+        i, j = np.nonzero(index[:, None] >= index)
+        number = np.full(len(i), spring)
+        return np.stack([number, index[i], index[j], data[i] * data[j]])
 
     def __getattr__(self, name):
         """What springs do not change is the problem's."""
@@ -212,7 +215,7 @@ class ElasticProgram:
 
     def excess(self, y: np.ndarray) -> np.ndarray:
         """How far relaxed variables, then rows, are beyond their bounds."""
-        z = np.r_[y[self._columns], self._A @ y]
+        z = self._ends @ y
         return z - np.clip(z, self._lower, self._upper)
 
     def objective(self, y):
@@ -223,10 +226,7 @@ class ElasticProgram:
     def gradient(self, y):
         """Derivative of the objective."""
         e = self._weight * self.excess(y)
-        g = self._problem.gradient(y)
-        count = len(self._columns)
-        g[self._columns] += e[:count]
-        return g + self._A.T @ e[count:]
+        return self._problem.gradient(y) + self._ends.T @ e
 
     def hessian(self, y, multipliers, factor):
         """As SparseProgram, in the order of hessian_structure."""
@@ -237,16 +237,12 @@ class ElasticProgram:
     def binding(self, y: np.ndarray) -> list[Excess]:
         """The bounds that gave way most, one for each signal."""
         excess = self.excess(y)
-        index = np.r_[
-            self._problem.unknowns.variable_of(self._columns),
-            self._problem.rows.variable_of(self._rows),
-        ]
         x = self._problem.expand(y)
         found: dict[str, Excess] = {}
         for k in np.argsort(-np.abs(excess)):
             if abs(excess[k]) < SIGNIFICANT or len(found) == _TOLD:
                 break
-            i = int(index[k])
+            i = int(self._variables[k])
             program = self._problem.program
             bound = self._problem.unknowns.bound_of(i, upper=excess[k] > 0.0)
             unit, factor = program.unit(i)

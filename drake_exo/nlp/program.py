@@ -13,7 +13,7 @@ applies the program's variable scaling; a transcription may hand over a sparse B
 whose columns satisfy its linear constraints exactly.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -96,17 +96,16 @@ class Batch:
         name: what an error report calls it; instance t is "name[t]".
         kernel: the function.
         indices: (n, n_in) indices of the inputs in the program.
-        lower: (n, n_out) lower bounds; of residuals, not used.
-        upper: (n, n_out) upper bounds; of residuals, not used.
         data: (n, ...) constants handed to the kernel, or None.
+        lower, upper: (n, n_out) bounds; None of costs.
     """
 
     name: str
     kernel: Kernel
     indices: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
     data: np.ndarray | None = None
+    lower: np.ndarray | None = None
+    upper: np.ndarray | None = None
 
     @property
     def num_outputs(self) -> int:
@@ -263,7 +262,7 @@ class BatchedProgram:
             index: (n, n_in) of their variables, in the kernel's order.
             name, kernel, lower, upper, data: see `add_constraints`.
         """
-        batch = Batch(name, kernel, index, lower, upper, data)
+        batch = Batch(name, kernel, index, data, lower, upper)
         self.constraints.append(batch)
         self._cover(bindings)
         return batch
@@ -279,9 +278,7 @@ class BatchedProgram:
                 description=f"{name}[{t}]",
             )
             bindings.append(cost)
-        shape = (len(variables), kernel.sparsity.shape[0])
-        free = np.broadcast_to(np.inf, shape)
-        batch = Batch(name, kernel, self.indices(variables), -free, free, data)
+        batch = Batch(name, kernel, self.indices(variables), data)
         self.residuals.append(batch)
         self._cover(bindings)
         return batch
@@ -306,13 +303,26 @@ class BatchedProgram:
         self._quadratics.append(_quadratics(self.indices(variables), Q, b, c))
         self._cover(bindings)
 
-    def loose_constraints(self) -> list:
-        """Generic constraints that belong to no batch."""
-        return self._uncovered(nonlinear_constraints(self.prog))
+    def loose_constraints(self) -> list[Batch]:
+        """Generic constraints that belong to no batch, each as one."""
+        return [
+            replace(
+                self._alone(binding, "constraint"),
+                lower=binding.evaluator().lower_bound()[None],
+                upper=binding.evaluator().upper_bound()[None],
+            )
+            for binding in self._uncovered(nonlinear_constraints(self.prog))
+        ]
 
-    def loose_costs(self) -> list:
-        """Generic costs that belong to no batch."""
-        return self._uncovered(nonlinear_costs(self.prog))
+    def loose_costs(self) -> list[Batch]:
+        """Generic costs that belong to no batch, each as one."""
+        loose = self._uncovered(nonlinear_costs(self.prog))
+        return [self._alone(binding, "cost") for binding in loose]
+
+    def _alone(self, binding, what: str) -> Batch:
+        name = binding.evaluator().get_description() or what
+        index = self.indices(binding.variables())[None]
+        return Batch(name, BindingKernel(binding), index)
 
     def show(self, x: np.ndarray) -> None:
         """Call its visualization callbacks at variables x (num_vars,)."""
@@ -597,10 +607,11 @@ class Unknowns:
             y[len(direct) :] = sp.linalg.spsolve(W.T @ W, W.T @ r)
         return np.clip(y, self.lower, self.upper)
 
-    def bounded_columns(self) -> np.ndarray:
-        """Direct unknowns that have a bound."""
+    def bounding(self, variables) -> np.ndarray:
+        """Direct unknowns that have a bound, of some program variables."""
         bounded = np.isfinite(self.lower) | np.isfinite(self.upper)
-        return np.flatnonzero(bounded[: len(self._direct)])
+        hit = np.isin(self._direct, variables)
+        return np.flatnonzero(bounded[: len(hit)] & hit)
 
     def variable_of(self, columns: np.ndarray) -> np.ndarray:
         """Program variables of direct unknowns."""

@@ -115,17 +115,7 @@ class SparseProgram:
         # the cancellation of its large coefficients.
         self._Q, self._b, self._c = self.program.quadratic_cost()
         self._costs = [
-            Block(
-                Batch(
-                    binding.evaluator().get_description() or "cost",
-                    BindingKernel(binding),
-                    self.program.indices(binding.variables())[None],
-                    np.zeros((1, 1)),
-                    np.zeros((1, 1)),
-                ),
-                matrix,
-            )
-            for binding in self.program.loose_costs()
+            Block(batch, matrix) for batch in self.program.loose_costs()
         ]
 
     def _lay_out_jacobian(self):
@@ -162,18 +152,6 @@ class SparseProgram:
             return not hasattr(kernel, "A")
         # What a user adds is not least squares: it bends as it likes.
         return hasattr(kernel, "curvature") or isinstance(kernel, BindingKernel)
-
-    def relaxable(self, kinds) -> tuple[np.ndarray, np.ndarray]:
-        """Unknowns, and rows of g, that are bounded labelled variables.
-
-        Args:
-            kinds: of labels that count.
-        """
-        known = self.program.labelled
-        labelled = [i for kind in kinds for i in known.get(kind, [])]
-        columns = self.unknowns.bounded_columns()
-        hit = np.isin(self.unknowns.variable_of(columns), labelled)
-        return columns[hit], self.rows.bounding(labelled)
 
     def fingerprint(self) -> tuple[str, np.ndarray]:
         """What a checkpoint is of: digest of structure; bounds and costs.
@@ -421,19 +399,10 @@ class ConstraintRows:
 
     def __init__(self, program: BatchedProgram, unknowns: Unknowns):
         self._unknowns = unknowns
-        singles = [
-            Batch(
-                b.evaluator().get_description() or "constraint",
-                BindingKernel(b),
-                program.indices(b.variables())[None],
-                b.evaluator().lower_bound()[None],
-                b.evaluator().upper_bound()[None],
-            )
-            for b in program.loose_constraints()
-        ]
+        every = [*program.constraints, *program.loose_constraints()]
         self.blocks = [
             Block(batch, unknowns.matrix)
-            for batch in [*program.constraints, *singles]
+            for batch in every
             if not self._satisfied(batch)
         ]
         lower, upper = self._add_linear(program)
