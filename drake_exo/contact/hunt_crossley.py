@@ -58,7 +58,7 @@ class PaperConstants:
       sharper b_d would remove the slope that the term is meant to give.
     - b_v = 50 s/m as in Simbody.
     - delta = 10 µm keeps the Hertz part below 0.02 N at zero indentation up
-      to E = 4e7 N/m² at 32 mm radius (`regularisation_length` for others).
+      to E = 4e7 N/m² at 32 mm radius; others: 0.193 m N^(2/3) / (k r^(1/3)).
     - epsilon = 10 µm/s only makes √(v²) differentiable at rest.
     """
 
@@ -102,24 +102,6 @@ class SimbodyConstants:
 Constants = PaperConstants | SimbodyConstants
 
 
-def regularisation_length(stiffness, radius, residual_force=0.02):
-    """Largest delta of the paper's law for a given stiffness and radius.
-
-    With it the Hertz part is `residual_force` [N] at zero indentation:
-    ½ (4/3) k^(3/2) √r (delta/2)^(3/2) = residual_force.
-
-    Args:
-        stiffness: The paper's k, the stiffest that is expected.
-        radius: Sphere radius [m].
-        residual_force: Force at zero indentation [N].
-
-    Returns:
-        delta [m].
-    """
-    factor = (2.0 / 3.0) * stiffness * sqrt(stiffness) * sqrt(radius)
-    return 2.0 * (residual_force / factor) ** (2.0 / 3.0)
-
-
 Law = Literal["paper", "simbody"]
 # Law -> its constants.
 LAWS = {"paper": PaperConstants, "simbody": SimbodyConstants}
@@ -155,15 +137,6 @@ def paper_stiffness(modulus):
     20000
     """
     return 0.5 * modulus ** (2.0 / 3.0)
-
-
-def default_constants(law: Law) -> Constants:
-    """Constants of a law with their defaults; InputError for unknown laws."""
-    if law not in LAWS:
-        raise InputError(
-            f"contact law {law!r} is unknown; use 'paper' or 'simbody'"
-        )
-    return LAWS[law]()
 
 
 def hertz_factor(law: Law, stiffness, radius):
@@ -229,7 +202,6 @@ def slip_speed(law: Law, slip_velocity, constants: Constants):
     return sqrt(slip_velocity * slip_velocity + square)
 
 
-@any_scalar
 def friction_coefficient(law: Law, speed, constants: Constants):
     """Friction coefficient at a slip speed [m/s] (paper: Figure 9).
 
@@ -238,10 +210,6 @@ def friction_coefficient(law: Law, speed, constants: Constants):
     min(v/v_t, 1) (u_d + 2 (u_s − u_d)/(1 + (v/v_t)²)) + u_v v, the minimum
     rounded where the constants say so (`saturated`).
     """
-    return _coefficient(law, speed, constants)
-
-
-def _coefficient(law: Law, speed, constants: Constants):
     u_s, u_d = constants.static_friction, constants.dynamic_friction
     ratio = speed / constants.transition_velocity
     viscous = constants.viscous_friction * speed
@@ -316,18 +284,25 @@ def _force(law, x, x_dot, slip_velocity, k, c, r, constants: Constants):
     normal_force = _paper_normal if law == "paper" else _simbody_normal
     normal = normal_force(x, x_dot, k, c, r, constants)
     speed = slip_speed(law, slip_velocity, constants)
-    mu = _coefficient(law, speed, constants)
+    mu = friction_coefficient(law, speed, constants)
     return normal, -normal * mu * (slip_velocity / speed)
 
 
 def checked_constants(law: Law, constants: Constants | None) -> Constants:
-    """The constants given, or the law's defaults; InputError on a mismatch."""
-    defaults = default_constants(law)
-    if constants is None:
-        return defaults
-    if type(constants) is not type(defaults):
+    """The constants given, or the law's defaults.
+
+    Raises:
+        InputError: the law is unknown, or the constants are another law's.
+    """
+    if law not in LAWS:
         raise InputError(
-            f"contact law {law!r} needs {type(defaults).__name__}, "
+            f"contact law {law!r} is unknown; use 'paper' or 'simbody'"
+        )
+    if constants is None:
+        return LAWS[law]()
+    if type(constants) is not LAWS[law]:
+        raise InputError(
+            f"contact law {law!r} needs {LAWS[law].__name__}, "
             f"not {type(constants).__name__}"
         )
     return constants

@@ -154,28 +154,15 @@ def to_body(position, direction, x, z):
     return c * dx + s * dz, c * dz - s * dx
 
 
-def relative_angles(first, second):
-    """Angles of two bodies that never jump against each other.
-
-    Args:
-        first, second: (cosine, sine) of each.
-
-    Returns:
-        Angle of the first in (−π, π], and that plus the second's relative
-        angle in (−π, π], so that their difference has no jump at ±π.
-    """
-    angle = arctan2(first[1], first[0])
-    turn = arctan2(
-        second[1] * first[0] - second[0] * first[1],
-        second[0] * first[0] + second[1] * first[1],
-    )
-    return angle, angle + turn
-
-
 def planar_poses(first: BodyState, second: BodyState) -> tuple:
-    """(x, z, angle) of two bodies; their angles never jump apart."""
-    angles = relative_angles(first.direction, second.direction)
-    return (*first.position, angles[0]), (*second.position, angles[1])
+    """(x, z, angle) of two bodies; their angles never jump apart.
+
+    That of the first is in (−π, π], that of the second within π of it.
+    """
+    (c, s), (c_2, s_2) = first.direction, second.direction
+    angle = arctan2(s, c)
+    turn = arctan2(s_2 * c - c_2 * s, c_2 * c + s_2 * s)
+    return (*first.position, angle), (*second.position, angle + turn)
 
 
 @functools.cache

@@ -5,8 +5,8 @@ import pytest
 
 from drake_exo.contact.hunt_crossley import (
     FORCE_INPUTS,
+    LAWS,
     WRENCH_INPUTS,
-    default_constants,
     paper_stiffness,
     sphere_force,
     sphere_force_derivatives,
@@ -14,13 +14,9 @@ from drake_exo.contact.hunt_crossley import (
     sphere_wrench_derivatives,
 )
 
-LAWS = ("paper", "simbody")
-
 
 def constants_of(law, dynamic=0.6, rounding=0.0):
-    found = replace(
-        default_constants(law), static_friction=0.9, dynamic_friction=dynamic
-    )
+    found = replace(LAWS[law](), static_friction=0.9, dynamic_friction=dynamic)
     return replace(found, friction_rounding=rounding) if rounding else found
 
 
