@@ -422,10 +422,20 @@ def _range(coordinate: ET.Element) -> tuple[float, float]:
     return float(lower), float(upper)
 
 
+_AXES = tuple(f"{k}{i}" for k in ("rotation", "translation") for i in (1, 2, 3))
+
+
 def _custom(where: str, transform: ET.Element, names):
     """Turns and translations of a SpatialTransform."""
-    turns, translations = [], []
-    for axis in transform.iterfind("TransformAxis"):
+    told = list(transform.iterfind("TransformAxis"))
+    axes = {axis.get("name"): axis for axis in told}
+    if set(axes) != set(_AXES) or len(told) != len(_AXES):
+        raise InputError(
+            f"{where}: its SpatialTransform must hold each of "
+            f"{', '.join(_AXES)} once; open it in OpenSim 4 and save it"
+        )
+    found = []
+    for axis in map(axes.get, _AXES):
         of = (axis.findtext("coordinates") or "").split()
         if len(of) > 1 or not set(of) <= set(names):
             raise InputError(
@@ -441,9 +451,8 @@ def _custom(where: str, transform: ET.Element, names):
             of[0] if of else None,
             _function(where, kinds[0]) if kinds else _linear(0.0, 0.0),
         )
-        turned = (axis.get("name") or "").startswith("rotation")
-        (turns if turned else translations).append(item)
-    return tuple(turns), tuple(translations)
+        found.append(item)
+    return tuple(found[:3]), tuple(found[3:])
 
 
 def _function(where: str, node: ET.Element) -> Function:

@@ -94,6 +94,9 @@ def test_splines_are_opensims(tmp_path):
             "",
             "a PlanarJoint has 3 coordinates, and here are 2",
         ),
+        ("translation2", "translation1", "of rotation1, .*, translation3 once"),
+        ('"rotation2"', '"turn2"', "of rotation1, .*, translation3 once"),
+        ("</SpatialTransform>", "<TransformAxis/></SpatialTransform>", "once;"),
         ("<gravity>0 -9.80665 0", "<gravity>-9.8 0 0", "not along -y"),
         (">meters<", ">inches<", "lengths are in inches"),
     ],
@@ -104,6 +107,22 @@ def test_what_cannot_be_read_is_said_in_a_sentence(tmp_path, old, new, words):
     with pytest.raises(InputError, match=words) as caught:
         read(tmp_path, text.replace(old, new))
     assert "\n" not in str(caught.value)
+
+
+def test_axes_go_by_their_names_in_whatever_order(tmp_path):
+    text = small_osim("CustomJoint").replace(">0</value>", ">0.3</value>")
+    first, *others = text.split("<SpatialTransform>")
+    swapped = []
+    for part in others:
+        inside, end = part.split("</SpatialTransform>")
+        axes = inside.split("</TransformAxis>")[:-1]
+        axes = "".join(f"{axis}</TransformAxis>" for axis in axes[::-1])
+        swapped.append(f"{axes}</SpatialTransform>{end}")
+    turned = read(tmp_path, "<SpatialTransform>".join([first, *swapped]))
+    q = {"knee_angle_r": np.array([-0.7])}
+    found, meant = turned.poses(q), read(tmp_path, text).poses(q)
+    for part, own in zip(found["toes_r"], meant["toes_r"], strict=True):
+        np.testing.assert_array_equal(part, own)
 
 
 def test_a_body_without_a_joint_is_named(tmp_path):
