@@ -69,26 +69,22 @@ def hinges(person: Person) -> list[Hinge]:
     >>> [h.name for h in hinges(Person())]
     ['ankle', 'knee', 'hip']
     """
-    if not person.sides:
-        found = [
-            Hinge("ankle", "foot", "shank", 1),
-            Hinge("knee", "knee_centre", "thigh", -1),
-            Hinge("hip", "hip_centre", "pelvis", 1),
-        ]
-    else:
-        found = []
-        for e in person.suffixes:
+    found = []
+    for e in person.suffixes:
+        if person.sides:
             found += [
                 Hinge(f"hip{e}", "pelvis", f"hip_centre{e}", -1),
                 Hinge(f"knee{e}", f"thigh{e}", f"knee_centre{e}", 1),
                 Hinge(f"ankle{e}", f"shank{e}", f"foot{e}", -1),
             ]
-    if person.toes == "hinged":
-        # Each after its own leg.
-        for e in person.suffixes:
-            place = max(i for i, h in enumerate(found) if h.name.endswith(e))
-            toes = Hinge(f"toes{e}", f"ball_centre{e}", f"toes{e}", -1)
-            found.insert(place + 1, toes)
+        else:
+            found += [
+                Hinge("ankle", "foot", "shank", 1),
+                Hinge("knee", "knee_centre", "thigh", -1),
+                Hinge("hip", "hip_centre", "pelvis", 1),
+            ]
+        if person.toes == "hinged":
+            found.append(Hinge(f"toes{e}", f"ball_centre{e}", f"toes{e}", -1))
     return found
 
 
@@ -104,19 +100,15 @@ def soles(
 ) -> dict[str, dict[str, tuple[float, float]]]:
     """Segment -> its spheres' usual centres (x, z) in it [m]."""
     ball = (_BALL_SPHERE * human.foot.length_m, human.toe_m[1])
-    foot = {"heel": human.heel_m, "ball": ball}
-    toes: dict[str, tuple[float, float]] = {}
+    parts = {"foot": {"heel": human.heel_m, "ball": ball, "toe": human.toe_m}}
     if person.toes == "hinged":
-        x, z = ball_m(human)
-        toes = {"toe": (human.toe_m[0] - x, human.toe_m[1] - z)}
-    else:
-        foot["toe"] = human.toe_m
-    found = {}
-    for end in person.suffixes:
-        found[f"foot{end}"] = foot
-        if toes:
-            found[f"toes{end}"] = toes
-    return found
+        (x, z), toe = ball_m(human), parts["foot"].pop("toe")
+        parts["toes"] = {"toe": (toe[0] - x, toe[1] - z)}
+    return {
+        part + end: spheres
+        for end in person.suffixes
+        for part, spheres in parts.items()
+    }
 
 
 def assembled(

@@ -415,19 +415,6 @@ def _owner(device: DeviceFile, text: str) -> tuple[ET.Element, ET.Element]:
     return root, owner
 
 
-def without_stiff_joints(device: DeviceFile, text: str) -> str:
-    """The file without joints between welded links.
-
-    Raises:
-        InputError: it is no XML, or holds not exactly one model.
-    """
-    root, owner = _owner(device, text)
-    for joint in owner.findall("joint"):
-        if _ends(joint) <= set(device.weld):
-            owner.remove(joint)
-    return ET.tostring(root, encoding="unicode")
-
-
 def _ends(joint: ET.Element) -> set[str | None]:
     """Links that a joint of the file joins."""
     ends = [joint.find(end) for end in ("parent", "child")]
@@ -485,7 +472,11 @@ def add_device(
         InputError: Drake cannot read it, a welded link is missing, a link is
             attached to nothing, or joints close a loop.
     """
-    text = without_stiff_joints(device, text)
+    root, owner = _owner(device, text)
+    for joint in owner.findall("joint"):
+        if _ends(joint) <= set(device.weld):  # as stiff as the person is
+            owner.remove(joint)
+    text = ET.tostring(root, encoding="unicode")
     log = logging.getLogger("drake")
     log.addFilter(_is_no_error)
     try:
@@ -540,13 +531,8 @@ def missing_link(device: DeviceFile, link: str, known) -> InputError:
 
 def placed(weld: Weld) -> RigidTransform:
     """Pose of a welded link in its segment; pitch is about -y."""
-    pitch = -np.deg2rad(weld.pitch_deg)
     x, z = weld.at_m
-    R = (
-        RotationMatrix()
-        if pitch == 0.0
-        else RotationMatrix.MakeYRotation(pitch)
-    )
+    R = RotationMatrix.MakeYRotation(-np.deg2rad(weld.pitch_deg))
     return RigidTransform(R, [x, 0.0, z])
 
 
