@@ -160,7 +160,7 @@ def _residuals(
     problem, found = result.problem, result.trials[index]
     grid = problem.movements[index].grid
     times, q, v, a = grid.between(
-        fraction, found.times, found.q, found.v, found.a, found.jerk
+        fraction, found.q, found.v, found.a, found.jerk
     )
 
     def at(values):

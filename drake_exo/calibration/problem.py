@@ -512,9 +512,7 @@ class PhaseProblem(Compiles, ABC):
         ):
             times, jerk = movement.grid.times, solved.jerk
             at, nodes = solved.sample(times), solved.times
-            motion = before.grid.at(
-                times, nodes, solved.q, solved.v, solved.a, jerk
-            )
+            motion = before.grid.at(times, solved.q, solved.v, solved.a, jerk)
             own = movement.grid.jerk
             known = make_interp_spline(nodes[-len(jerk) :], jerk, k=1)
             x[self.program.indices(own)] = known(times[-len(own) :])

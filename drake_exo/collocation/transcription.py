@@ -108,46 +108,36 @@ class Transcription(ABC):
     def _add_to(self, program: BatchedProgram) -> None:
         """Add variables and collocation constraints."""
 
-    @classmethod
-    def between(cls, fraction, times, q, v, a, jerk):
+    def between(self, fraction, q, v, a, jerk):
         """State at one place in each mesh interval of a solution.
 
         Args:
             fraction: of the interval, from 0 to 1.
-            times, q, v, a, jerk: values at the nodes.
+            q, v, a, jerk: values at the nodes.
 
         Returns:
             times (m,), q, v, a (m, n_dof) in each of m intervals.
         """
-        mesh = cls._mesh(times)
-        when = mesh[:-1] + fraction * np.diff(mesh)
-        return when, *cls.at(when, times, q, v, a, jerk)
+        when = self.mesh[:-1] + fraction * self.steps
+        return when, *self.at(when, q, v, a, jerk)
 
-    @classmethod
     @abstractmethod
-    def at(cls, when, times, q, v, a, jerk):
+    def at(self, when, q, v, a, jerk):
         """State of a solution at any times, by the grid's polynomials.
 
         Args:
             when: (m,) [s].
-            times, q, v, a, jerk: values at the nodes.
+            q, v, a, jerk: values at the nodes.
 
         Returns:
             q, v, a (m, n_dof).
         """
 
-    @staticmethod
-    @abstractmethod
-    def _mesh(times):
-        """Ends of the mesh intervals among the nodes."""
-
-    @classmethod
-    def _intervals(cls, when, times):
+    def _intervals(self, when):
         """Of times (m,): number, start and length of the mesh interval."""
-        mesh = cls._mesh(times)
-        k = np.searchsorted(mesh, when, side="right") - 1
-        k = np.clip(k, 0, len(mesh) - 2)
-        return k, mesh[k], mesh[k + 1] - mesh[k]
+        k = np.searchsorted(self.mesh, when, side="right") - 1
+        k = np.clip(k, 0, self.num_intervals - 1)
+        return k, self.mesh[k], self.steps[k]
 
     @abstractmethod
     def _scalar_basis(self) -> tuple[sp.csr_array, np.ndarray]:
@@ -244,14 +234,9 @@ class HermiteSimpson(Transcription):
         )
         return variables, both[:, None] / 16.0 * off, 0.5 * both
 
-    @staticmethod
-    def _mesh(times):
-        return times
-
-    @classmethod
-    def at(cls, when, times, q, v, a, jerk):
+    def at(self, when, q, v, a, jerk):
         """See Transcription; jerk is linear in each interval."""
-        k, start, h = cls._intervals(when, times)
+        k, start, h = self._intervals(when)
         s = (when - start)[:, None]
         q, v, a, j = (x[k] for x in (q, v, a, jerk))
         snap = (jerk[k + 1] - j) / h[:, None]
@@ -299,7 +284,6 @@ class Pseudospectral(Transcription):
     def _add_to(self, program):
         n_dof, intervals = self.num_dof, self.num_intervals
         points, weights, D = radau_points()
-        self._D = D
         starts, steps = self.mesh[:-1, None], self.steps[:, None]
         self.times = np.r_[0.0, (starts + steps * points).ravel()]
         self.quadrature = np.r_[0.0, (steps * weights).ravel()]
@@ -329,14 +313,9 @@ class Pseudospectral(Transcription):
         """See Transcription; points of an interval count alike."""
         return np.repeat(self.steps / 3.0, 3)
 
-    @staticmethod
-    def _mesh(times):
-        return times[::3]
-
-    @classmethod
-    def at(cls, when, times, q, v, a, jerk):
+    def at(self, when, q, v, a, jerk):
         """See Transcription; each state is a cubic in each interval."""
-        k, start, h = cls._intervals(when, times)
+        k, start, h = self._intervals(when)
         fraction = ((when - start) / h)[:, None]
         nodes = np.r_[0.0, radau_points()[0]]
         weights = []
@@ -355,7 +334,7 @@ class Pseudospectral(Transcription):
         intervals = self.num_intervals
         n = 3 * intervals + 1
         # Columns: q0..q3, v0..v3, a0..a3, j1..j3, in units of h = 1.
-        A = _interval_equations(self._D, 1.0)
+        A = _interval_equations(radau_points()[2], 1.0)
         ends = [0, 4, 8, 3, 7, 11]
         inner = [1, 2, 5, 6, 9, 10, 12, 13, 14]
         orders = np.repeat([0, 1, 2, 3], [2, 2, 2, 3])
