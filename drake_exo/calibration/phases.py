@@ -50,7 +50,7 @@ from drake_exo.files.tables import runs
 from drake_exo.measurement.trial import Trial, as_trials, saw_device
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.plant import Model
-from drake_exo.nlp.program import AffineKernel
+from drake_exo.nlp.program import LinearKernel
 
 
 class FootGroundCalibration(PhaseProblem):
@@ -525,7 +525,7 @@ class PeriodicStep(PredictionProblem):
         ):
             self.program.add_constraints(
                 f"{movement.name} mirrored {what}",
-                AffineKernel(np.hstack([np.eye(len(names)), -other])[rows]),
+                LinearKernel(np.hstack([np.eye(len(names)), -other])[rows]),
                 np.hstack([values[-1], values[0]])[None],
                 gain,
                 gain,

@@ -17,7 +17,7 @@ from pydrake.planning import DirectCollocation
 from pydrake.systems.primitives import LinearSystem
 from scipy.interpolate import BSpline
 
-from drake_exo.nlp.program import AffineKernel, BatchedProgram, Substitution
+from drake_exo.nlp.program import BatchedProgram, LinearKernel, Substitution
 
 FEWEST = 4  # mesh intervals of a trial
 # Typical sizes of position, velocity, acceleration, jerk [rad or m, s].
@@ -204,7 +204,7 @@ class HermiteSimpson(Transcription):
             zero = np.zeros((len(some), 3 * n_dof))
             program.register(
                 f"{self.name} collocation",
-                AffineKernel(_constant_jacobian(some[0], step)),
+                LinearKernel(_constant_jacobian(some[0], step)),
                 some,
                 inputs[which],
                 zero,
@@ -305,7 +305,7 @@ class Pseudospectral(Transcription):
         for step, which in _by_length(self.steps):
             A = np.kron(_interval_equations(D, step), np.eye(n_dof))
             program.add_constraints(
-                f"{self.name} collocation", AffineKernel(A), columns[which]
+                f"{self.name} collocation", LinearKernel(A), columns[which]
             )
 
     @property

@@ -143,6 +143,7 @@ class Solution:
         seconds: time by part ("build", "solve", "linear_algebra", ...).
         evaluations: calls by part.
         strategy: barrier strategy of the last attempt.
+        is_sealed: whether reading values raises.
     """
 
     success: bool
@@ -160,24 +161,19 @@ class Solution:
     seconds: dict[str, float] = field(default_factory=dict)
     evaluations: dict[str, int] = field(default_factory=dict)
     _values: np.ndarray = field(default=None, repr=False)
-    _sealed: bool = field(default=False, repr=False)
+    is_sealed: bool = field(init=False, repr=False)
 
     def __post_init__(self):
-        self._sealed = not self.success
+        self.is_sealed = not self.success
 
     @property
     def was_stopped(self) -> bool:
         """Whether the user ended it."""
         return self.status == STOPPED_BY_USER
 
-    @property
-    def is_sealed(self) -> bool:
-        """Whether reading values raises."""
-        return self._sealed
-
     def unseal(self) -> "Solution":
         """Allow a failed solution to be read; returns itself."""
-        self._sealed = False
+        self.is_sealed = False
         return self
 
     def check(self) -> None:
@@ -186,7 +182,7 @@ class Solution:
         Raises:
             SealedSolutionError: if the solve failed and nobody unsealed it.
         """
-        if self._sealed:
+        if self.is_sealed:
             raise SealedSolutionError(
                 f"the solve failed ({self.status}); its values are not a "
                 "solution. Call unseal() to look at them all the same. "

@@ -49,17 +49,16 @@ class Kernel(Protocol):
         """Derivatives (n, n_out, n_in)."""
 
 
-class AffineKernel:
-    """f(x) = A x + b with the same A (n_out, n_in), b (n_out,) everywhere."""
+class LinearKernel:
+    """f(x) = A x with the same A (n_out, n_in) everywhere."""
 
-    def __init__(self, A: np.ndarray, b: np.ndarray | None = None):
+    def __init__(self, A: np.ndarray):
         self.A = np.asarray(A, float)
-        self.b = np.zeros(len(self.A)) if b is None else np.asarray(b, float)
         self.sparsity = self.A != 0.0
 
     def evaluate(self, x, data):
         """See Kernel."""
-        return x @ self.A.T + self.b
+        return x @ self.A.T
 
     def jacobian(self, x, data):
         """See Kernel."""

@@ -449,16 +449,10 @@ class ConstraintRows:
         off = np.maximum(np.abs(f - batch.lower), np.abs(f - batch.upper))
         if not (off < _IDENTICALLY_ZERO).all():
             return False
-        matrix = self._unknowns.matrix
-        row, column = np.nonzero(kernel.A)
-        first = np.arange(len(f))[:, None] * f.shape[1]
-        values = np.broadcast_to(kernel.A[row, column], (len(f), len(row)))
-        place = (first + row).ravel(), batch.indices[:, column].ravel()
-        A = sp.csr_array(
-            (values.ravel(), place), shape=(f.size, matrix.shape[0])
-        )
-        largest = np.abs(A @ matrix).max(axis=1).toarray()
-        summed = (np.abs(A) @ np.abs(matrix)).max(axis=1).toarray()
+        A = sp.kron(sp.eye_array(len(f)), kernel.A, format="csr")
+        B = self._unknowns.matrix[batch.indices.ravel()]
+        largest = np.abs(A @ B).max(axis=1).toarray()
+        summed = (np.abs(A) @ np.abs(B)).max(axis=1).toarray()
         return bool((largest <= _IDENTICALLY_ZERO * summed).all())
 
     def numbered_blocks(self):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from drake_exo.nlp.program import AffineKernel, BatchedProgram
+from drake_exo.nlp.program import BatchedProgram, LinearKernel
 
 
 class Rosenbrock:
@@ -57,10 +57,10 @@ def pushed_cart(distance, limit=1.0):
     push = prog.NewContinuousVariables(PUSHES, "push")
     program.add_constraints(
         "step",
-        AffineKernel([[1.0, -1.0, 1.0]]),
+        LinearKernel([[1.0, -1.0, 1.0]]),
         np.stack([place[:-1], place[1:], push], axis=1),
     )
-    program.add_residuals("effort", AffineKernel([[1.0]]), push[:, None])
+    program.add_residuals("effort", LinearKernel([[1.0]]), push[:, None])
     prog.AddBoundingBoxConstraint(-limit, limit, push)
     prog.AddBoundingBoxConstraint(0.0, 0.0, place[0])
     prog.AddBoundingBoxConstraint(distance, distance, place[-1])

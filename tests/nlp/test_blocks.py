@@ -3,7 +3,7 @@
 import numpy as np
 import scipy.sparse as sp
 
-from drake_exo.nlp.program import AffineKernel, BatchedProgram, Substitution
+from drake_exo.nlp.program import BatchedProgram, LinearKernel, Substitution
 from drake_exo.nlp.sparse import Block, SparseProgram
 
 
@@ -12,7 +12,7 @@ def test_a_block_is_as_wide_as_what_its_instances_see():
     program = BatchedProgram()
     x = program.prog.NewContinuousVariables(6, "x")
     links = np.stack([x[:-1], x[1:]], axis=1)
-    batch = program.add_residuals("link", AffineKernel([[1.0, -1.0]]), links)
+    batch = program.add_residuals("link", LinearKernel([[1.0, -1.0]]), links)
     problem = SparseProgram(program)
     block = Block(batch, problem.unknowns.matrix)
     expected = np.column_stack([np.arange(5), np.arange(1, 6)])
@@ -25,7 +25,7 @@ def test_instances_that_see_fewer_unknowns_are_filled_up():
     program = BatchedProgram()
     x = program.prog.NewContinuousVariables(3, "x")
     links = np.stack([x[:-1], x[1:]], axis=1)
-    batch = program.add_residuals("link", AffineKernel([[1.0, -1.0]]), links)
+    batch = program.add_residuals("link", LinearKernel([[1.0, -1.0]]), links)
     # x0 and x1 are one unknown, x2 is both's sum.
     own = Substitution(
         np.arange(3),

@@ -7,11 +7,21 @@ from small_programs import valleys
 
 from drake_exo.nlp import ipopt
 from drake_exo.nlp.ipopt import SolverOptions
-from drake_exo.nlp.program import AffineKernel, BatchedProgram
+from drake_exo.nlp.program import BatchedProgram, LinearKernel
 from drake_exo.nlp.sensitivity import Optimum, response
 from drake_exo.nlp.sparse import SparseProgram
 
 N = 7
+
+
+class Off(LinearKernel):
+    """Of a variable from what `data` says."""
+
+    def __init__(self):
+        super().__init__([[1.0]])
+
+    def evaluate(self, x, data):
+        return x - data
 
 
 def _problem(pull=None, rise=0.0, level=1.0, held=0.0):
@@ -24,17 +34,14 @@ def _problem(pull=None, rise=0.0, level=1.0, held=0.0):
     prog = program.prog
     x = prog.NewContinuousVariables(N, "x")
     wave = np.sin(1.3 * np.arange(N))
-    for k in range(N):
-        program.add_residuals(
-            f"wave{k}", AffineKernel([[1.0]], [-wave[k]]), x[k : k + 1][None]
-        )
+    program.add_residuals("wave", Off(), x[:, None], wave[:, None])
     links = np.stack([x[:-1], x[1:]], axis=1)
-    program.add_residuals("link", AffineKernel([[-0.5, 0.5]]), links)
+    program.add_residuals("link", LinearKernel([[-0.5, 0.5]]), links)
     program.add_constraints(
-        "end", AffineKernel([[1.0, 1.0]]), links[:1], level, level
+        "end", LinearKernel([[1.0, 1.0]]), links[:1], level, level
     )
     program.add_constraints(  # active in the trough of the wave only
-        "ground", AffineKernel([[1.0]]), x[3:, None], rise - 0.1, np.inf
+        "ground", LinearKernel([[1.0]]), x[3:, None], rise - 0.1, np.inf
     )
     prog.AddBoundingBoxConstraint(-5.0, 0.35, x[1])  # active
     if held:
@@ -151,13 +158,13 @@ def _with_fixed(value, linear=False):
     prog.AddBoundingBoxConstraint(value, value, p[0])
     prog.SetVariableScaling(p[0], 3.0)
     program.add_residuals(
-        "pull", AffineKernel([[1.0, 0.0, 0.7], [0.3, 1.0, 0.0]]), _row(x, p)
+        "pull", LinearKernel([[1.0, 0.0, 0.7], [0.3, 1.0, 0.0]]), _row(x, p)
     )
     tie = np.array([[1.0, -2.0, -1.5]])
     if linear:
         prog.AddLinearEqualityConstraint(tie, [1.0], _row(x, p)[0])
     else:
-        program.add_constraints("tie", AffineKernel(tie), _row(x, p), 1.0, 1.0)
+        program.add_constraints("tie", LinearKernel(tie), _row(x, p), 1.0, 1.0)
     return SparseProgram(program), program.indices(p)
 
 

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from program_derivatives import DerivativeError, check_derivatives
 
 from drake_exo.nlp import ipopt
-from drake_exo.nlp.program import AffineKernel, BatchedProgram, Substitution
+from drake_exo.nlp.program import BatchedProgram, LinearKernel, Substitution
 from drake_exo.nlp.sparse import SparseProgram, violation
 
 _N = 6
@@ -193,10 +193,10 @@ def test_a_substitution_drops_the_constraints_it_satisfies():
     x = prog.NewContinuousVariables(4, "x")
     # x1 - x0 = x2 and x3 = x1, satisfied by two unknowns.
     program.add_constraints(
-        "tie", AffineKernel([[-1.0, 1.0, -1.0, 0.0]]), x[None]
+        "tie", LinearKernel([[-1.0, 1.0, -1.0, 0.0]]), x[None]
     )
     program.add_constraints(
-        "copy", AffineKernel([[0.0, 1.0, 0.0, -1.0]]), x[None]
+        "copy", LinearKernel([[0.0, 1.0, 0.0, -1.0]]), x[None]
     )
     prog.AddBoundingBoxConstraint(0.0, 5.0, x[2])
     prog.AddQuadraticErrorCost(np.eye(4), [1.0, 2.0, 0.0, 4.0], x)
@@ -262,7 +262,7 @@ def test_what_holds_by_the_substitution_alone_leaves(shift, left):
     x = program.prog.NewContinuousVariables(2, "x")
     program.add_constraints(
         "tie",
-        AffineKernel([[-1.0, 1.0], [-2.0, 2.0]]),
+        LinearKernel([[-1.0, 1.0], [-2.0, 2.0]]),
         x[None],
         np.array([[2.0 + shift, 4.0]]),
         np.array([[2.0 + shift, 4.0]]),
