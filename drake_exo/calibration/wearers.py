@@ -659,17 +659,12 @@ class Size:
         moments = forces[:, names.joint_columns]
         given = self.mass * self.height * trial.moments[:, device]
         moments = moments + shared_moments(names, given - moments[:, device])
-        by_wrench = model.tree.by_wrench(q, model.tree.root)
-        wrench = np.linalg.solve(
-            by_wrench[:, names.root_columns],
-            forces[:, names.root_columns, None],
-        )
         return replace(
             trial,
             q=q,
             v=v,
             a=a,
-            ground=PlanarWrench.of(wrench[:, :, 0]),
+            ground=PlanarWrench.of(model.tree.ground_reaction(q, forces)),
             moments=moments,
             cuffs={},
             mass_kg=model.human.mass_kg,

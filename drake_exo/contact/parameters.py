@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from drake_exo.contact.bushing import CALIBRATED, BushingParameters
 from drake_exo.contact.hunt_crossley import (
@@ -218,16 +219,10 @@ class Posterior:
 
     def beside(self, other: "Posterior") -> "Posterior":
         """With what is known of others, as if by other data."""
-        m, n = len(self.names), len(self.names) + len(other.names)
-        covariance = np.zeros((n, n))
-        covariance[:m, :m], covariance[m:, m:] = (
-            self.covariance,
-            other.covariance,
-        )
         return Posterior(
             (*self.names, *other.names),
             np.concatenate([self.values, other.values]),
-            covariance,
+            block_diag(self.covariance, other.covariance),
         )
 
 

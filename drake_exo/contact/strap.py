@@ -318,10 +318,8 @@ class CuffDesign:
 
     def held(self, stiffness: str) -> float:
         """Share of a spring that no slide or hinge takes away, by its name."""
-        shares = [
-            getattr(self, k) for k, v in RELEASES.items() if v == stiffness
-        ]
-        return 1.0 - sum(shares)
+        taken = (k for k, spring in RELEASES.items() if spring == stiffness)
+        return 1.0 - sum(getattr(self, k) for k in taken)
 
 
 @dataclass(frozen=True)
@@ -434,7 +432,7 @@ class Design:
         if self.removed:
             model = replace(model, kind=model.assembly.opened(self.removed))
         device = model.exoskeleton
-        if device is None or not model.assembly.is_fitted:
+        if device is None:
             return model
         moved = {}
         for name, cuff in self.cuffs.items():
@@ -503,7 +501,7 @@ MOVABLE = {"exo_knee": "knee_off_m", "exo_hip": "hip_off_m"}
 
 def movable(model: Model) -> tuple[str, ...]:
     """Joints of the device that a design may move."""
-    if model.exoskeleton is None or not model.assembly.is_fitted:
+    if model.exoskeleton is None:
         return ()
     return tuple(j for j in MOVABLE if j in model.coordinates.device)
 
@@ -536,7 +534,7 @@ def device_sdf(model: Model, design: Design) -> str | None:
     >>> "exo_thigh_cuff" in device_sdf(nominal_model("coupled"), moved)
     True
     """
-    if model.exoskeleton is None or not model.assembly.is_fitted:
+    if model.exoskeleton is None:
         return None
     device = design.model(model).exoskeleton
     text = hinged(exoskeleton_sdf(device, body_width(model.human)))

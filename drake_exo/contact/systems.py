@@ -282,12 +282,12 @@ class _FootGroundContact:
         """Parameters in a context, or those of the construction."""
         if context is None:
             return self._parameters
-        *vectors, constants = self._vectors(context)
+        vectors, constants = self._held(context)
         spheres = zip(self._parameters.spheres, vectors, strict=True)
         return GroundContact(
             self._parameters.law,
             {name: ContactSphere(*vector) for name, vector in spheres},
-            self._constants(constants),
+            constants,
         )
 
     def set_parameters(self, context, parameters: GroundContact) -> None:
@@ -311,18 +311,16 @@ class _FootGroundContact:
                 np.array(astuple(values))
             )
 
-    def _vectors(self, context) -> list[list]:
-        return [
+    def _held(self, context) -> tuple[list[list], Constants]:
+        """Values of each sphere, and the constants."""
+        *spheres, constants = (
             context.get_numeric_parameter(i).CopyToVector().tolist()
             for i in range(len(self._parameters.spheres) + 1)
-        ]
-
-    def _constants(self, vector) -> Constants:
-        return type(self._parameters.constants)(*vector)
+        )
+        return spheres, type(self._parameters.constants)(*constants)
 
     def _calc_values(self, context, output):
-        *spheres, constants = self._vectors(context)
-        output.set_value((spheres, self._constants(constants)))
+        output.set_value(self._held(context))
 
     def _calc_wrenches(self, context, output):
         (foot,) = read_bodies(self, context, [self._body])

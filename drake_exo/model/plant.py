@@ -33,13 +33,11 @@ from drake_exo.files import schema
 from drake_exo.model.assembly import (
     ASSEMBLIES,
     Assembly,
-    DeviceFile,
     Weld,
     without_side,
 )
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.description import (
-    Hinge,
     body_width,
     exoskeleton_sdf,
     fit_exoskeleton,
@@ -363,7 +361,12 @@ def _added(model: Model, plant: MultibodyPlant) -> MultibodyPlant:
             width = body_width(human)
             text = hinged(exoskeleton_sdf(model.exoskeleton, width))
         worn = add_device(parser, plant, device, text)
-        _weld(plant, body, worn, device)
+        for link, weld in device.welds.items():
+            plant.WeldFrames(
+                plant.GetFrameByName(weld.to, body),
+                plant.GetFrameByName(link, worn),
+                placed(weld),
+            )
         _check_links(plant, worn, assembly)
         if not assembly.is_fitted:
             _add_shells(plant, worn, assembly, human)
@@ -386,31 +389,15 @@ def _add_human_joints(
         )
     )
     for hinge in hinges(assembly.human):
-        _hinge(plant, body, hinge)
-
-
-def _hinge(
-    plant: MultibodyPlant, body: ModelInstanceIndex, hinge: Hinge
-) -> None:
-    """Add a revolute joint about +y or -y."""
-    turn = _Z_TO_PLUS_Y if hinge.axis > 0 else _Z_TO_MINUS_Y
-    ends = [
-        _turned(plant, plant.GetFrameByName(frame, body), turn, name)
-        for frame, name in (
-            (hinge.parent, f"{hinge.name}_parent"),
-            (hinge.child, f"{hinge.name}_child"),
-        )
-    ]
-    plant.AddJoint(RevoluteJoint(hinge.name, *ends, [0.0, 0.0, 1.0]))
-
-
-def _weld(plant, body, worn, device: DeviceFile) -> None:
-    for link, weld in device.welds.items():
-        plant.WeldFrames(
-            plant.GetFrameByName(weld.to, body),
-            plant.GetFrameByName(link, worn),
-            placed(weld),
-        )
+        turn = _Z_TO_PLUS_Y if hinge.axis > 0 else _Z_TO_MINUS_Y
+        ends = [
+            _turned(plant, plant.GetFrameByName(frame, body), turn, name)
+            for frame, name in (
+                (hinge.parent, f"{hinge.name}_parent"),
+                (hinge.child, f"{hinge.name}_child"),
+            )
+        ]
+        plant.AddJoint(RevoluteJoint(hinge.name, *ends, [0.0, 0.0, 1.0]))
 
 
 def _check_links(plant, worn, assembly: Assembly) -> None:

@@ -245,9 +245,9 @@ class ElasticProgram:
             i = int(self._variables[k])
             program = self._problem.program
             bound = self._problem.unknowns.bound_of(i, upper=excess[k] > 0.0)
-            unit, factor = program.unit(i)
+            signal, _, (unit, factor) = program.label_of(i)
             found.setdefault(
-                program.signal_name(i),
+                signal,
                 Excess(
                     program.variable_name(i),
                     factor * x[i],

@@ -438,18 +438,18 @@ def _ipopt_options(options, strategy) -> dict:
 
 
 def _attempt(problem, y0, options, watch):
-    def gradient(y, out):
+    def gradient(y):
         watch.accepted(y)
-        out[:] = problem.gradient(y)
+        return problem.gradient(y)
 
-    def constraints(y, out):
-        out[:] = problem.constraints(y)
+    def filled(function):
+        """IPOPT hands over where an array's values go."""
 
-    def jacobian(y, out):
-        out[:] = problem.jacobian(y)
+        def call(*args):
+            *given, out = args
+            out[:] = function(*given)
 
-    def hessian(y, multipliers, factor, out):
-        out[:] = problem.hessian(y, multipliers, factor)
+        return guarded(call)
 
     def guarded(function, instead=np.nan):
         """Errors must not surface in IPOPT's C++; they are raised again."""
@@ -474,10 +474,10 @@ def _attempt(problem, y0, options, watch):
         _listed(problem.jacobian_structure),
         _listed(problem.hessian_structure),
         guarded(problem.objective),
-        guarded(gradient),
-        guarded(constraints),
-        guarded(jacobian),
-        guarded(hessian),
+        filled(gradient),
+        filled(problem.constraints),
+        filled(problem.jacobian),
+        filled(problem.hessian),
         intermediate_callback=guarded(watch, False),
     )
     for name, value in _ipopt_options(options, watch.strategy).items():

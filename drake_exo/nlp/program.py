@@ -202,7 +202,8 @@ class BatchedProgram:
         known = self.labelled.get(kind, [])
         self.labelled[kind] = np.union1d(known, index.ravel()).astype(int)
 
-    def _find_label(self, index: int) -> tuple[str, str, tuple[str, float]]:
+    def label_of(self, index: int) -> tuple[str, str, tuple[str, float]]:
+        """Column, row and unit of a variable as labelled, or its name."""
         for where, columns, rows, units in self._labels:
             row, column = np.nonzero(where == index)
             if len(row):
@@ -210,17 +211,9 @@ class BatchedProgram:
         name = self.prog.decision_variable(index).get_name()
         return name, "", ("", 1.0)
 
-    def signal_name(self, index: int) -> str:
-        """What a variable belongs to: its column's label, or its name."""
-        return self._find_label(index)[0]
-
     def variable_name(self, index: int) -> str:
         """Label of a variable, or its name in the program."""
-        return " ".join(self._find_label(index)[:2]).strip()
-
-    def unit(self, index: int) -> tuple[str, float]:
-        """Unit of a variable in reports, and the factor that leads to it."""
-        return self._find_label(index)[2]
+        return " ".join(self.label_of(index)[:2]).strip()
 
     def add_constraints(
         self, name, kernel, variables, lower=0.0, upper=0.0, data=None
