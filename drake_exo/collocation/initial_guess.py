@@ -15,7 +15,7 @@ the foot bears nothing it is carried clear of the ground.
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import distance_transform_edt, gaussian_filter1d
 
 from drake_exo.collocation.kernels import FootGroundKernel
 from drake_exo.contact.hunt_crossley import contact_arm, sphere_force
@@ -378,11 +378,8 @@ def _bridged(off, loaded, times):
     """Offsets (n,) of loaded samples, fading over the others."""
     if loaded.all() or not loaded.any():
         return off
-    index = np.arange(len(off))
-    known = index[loaded]
-    after = np.clip(np.searchsorted(known, index), 0, len(known) - 1)
-    before = np.maximum(after - 1, 0)
-    nearer = np.abs(index - known[after]) < np.abs(index - known[before])
-    nearest = np.where(nearer, known[after], known[before])
+    (nearest,) = distance_transform_edt(
+        ~loaded, return_distances=False, return_indices=True
+    )
     far = (times - times[nearest]) / _FADE_S
     return np.where(loaded, off, off[nearest] * np.exp(-(far**2)))
