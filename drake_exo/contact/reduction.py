@@ -303,13 +303,13 @@ class Reduction:
             ) from error
 
 
-def forces(samples: Samples, stiffness, place, constants):
-    """Upward force of every sphere at every pose at rest, and its place.
+def borne(samples: Samples, stiffness, place, constants):
+    """What spheres bear at every pose at rest.
 
     Stiffness, place and constants are those of `Reduction`.
 
     Returns:
-        Forces [N] (N, S), centres in the world [m] (N, S, 3).
+        Upward force of all (N,) [N], centre of pressure (N, 2) [m].
     """
     turned = place @ np.swapaxes(samples.rotation, 1, 2)
     centre = samples.origin[:, None] + turned
@@ -318,11 +318,6 @@ def forces(samples: Samples, stiffness, place, constants):
         "simbody", depth, rest, rest, stiffness, 0.0, CONTACT_RADIUS_M,
         constants,
     )  # fmt: skip
-    return normal, centre
-
-
-def _combined(normal, centre) -> tuple[np.ndarray, np.ndarray]:
-    """Force (N,) and centre of pressure (N, 2) of all spheres."""
     total = normal.sum(axis=1)
     cop = np.einsum("ns,nsi->ni", normal, centre[..., :2])
     return total, cop / np.maximum(total, 1e-9)[:, None]
@@ -396,7 +391,7 @@ def reduce_sole(
         return np.exp(full[:, 0]), place, constants
 
     def residuals(u):
-        total, cop = _combined(*forces(samples, *unpacked(u)))
+        total, cop = borne(samples, *unpacked(u))
         off = (cop - samples.cop)[loaded]
         off = off[:, :1] if planar else off
         return np.concatenate(
@@ -423,7 +418,7 @@ def reduce_sole(
     half = np.zeros((spheres, 4))
     width = np.minimum(_SD * _deviations(best), high - low)
     half[:, columns] = width[1:].reshape(spheres, -1)
-    told = _combined(*forces(samples, *found))
+    told = borne(samples, *found)
     return Reduction(samples, planar, *found, half * scale, *told)
 
 

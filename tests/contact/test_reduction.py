@@ -320,12 +320,11 @@ def test_a_plane_has_no_roll_nor_sideways():
     assert (np.linalg.det(flat.rotation) > 0.0).all()
 
 
-def test_a_centre_of_pressure_is_the_mean_by_force():
-    normal = np.array([[30.0, 10.0], [0.0, 50.0]])
-    centre = np.array([[[0, 1, 9], [4, 5, 9]], [[7, 7, 9], [2, -1, 9]]], float)
-    total, cop = reduction._combined(normal, centre)
-    np.testing.assert_allclose(total, [40.0, 50.0])
-    np.testing.assert_allclose(cop, [[1.0, 2.0], [2.0, -1.0]])
+def test_what_spheres_bear_is_a_sum_and_a_mean_by_force():
+    samples = _truth()
+    total, cop = reduction.borne(samples, E, PLACE, softened(SHARE))
+    np.testing.assert_allclose(total, samples.force)
+    np.testing.assert_allclose(cop, samples.cop)
 
 
 def test_intervals_are_those_of_least_squares():
