@@ -264,8 +264,17 @@ def solve(
         if on_iterate is not None:
             on_iterate(iterate)
 
+    soft = replace(
+        options,
+        tolerance=max(_ELASTIC_TOLERANCE, options.tolerance),
+        max_iterations=min(_ELASTIC_ITERATIONS, options.max_iterations),
+    )
+
     def relaxed(program, y):
-        return _relaxed(program, y, options, tell, start, stop)
+        """Solve an elastic program; None if that fails."""
+        watch = _Watch(program, "elastic", start, tell, stop)
+        y, _, status = _attempt(program, y, soft, watch)
+        return y if status in _ACCEPTED else None
 
     with stop_on_interrupt(stop):
         for strategy in options.strategies:
@@ -368,18 +377,6 @@ class _Watch:
     def found_feasible(self) -> bool:
         """Whether an iterate kept all constraints."""
         return self.best_key[0] == 0.0
-
-
-def _relaxed(program, y, options, on_iterate, start, stop):
-    """Solve an elastic program; None if that fails."""
-    options = replace(
-        options,
-        tolerance=max(_ELASTIC_TOLERANCE, options.tolerance),
-        max_iterations=min(_ELASTIC_ITERATIONS, options.max_iterations),
-    )
-    watch = _Watch(program, "elastic", start, on_iterate, stop)
-    y, _, status = _attempt(program, y, options, watch)
-    return y if status in _ACCEPTED else None
 
 
 # A barrier of the usual height would first lead away from a solution. Where a
