@@ -454,9 +454,9 @@ def _text(model: ET.Element) -> str:
     return ET.tostring(model, encoding="unicode")
 
 
-def _numbers(values: Any) -> str:
-    # repr() keeps every digit: the plant holds the parameters exactly.
-    return " ".join(repr(float(v)) for v in values)
+def numbers(values) -> str:
+    """As SDF and URDF have them, all digits, and no -0."""
+    return " ".join(repr(float(v) + 0.0) for v in values)
 
 
 def _child(element: ET.Element, path: str) -> ET.Element:
@@ -480,7 +480,7 @@ def _pose(element: ET.Element) -> np.ndarray:
 
 
 def _set_pose(element: ET.Element, pose: np.ndarray) -> None:
-    _child(element, "pose").text = _numbers(pose)
+    _child(element, "pose").text = numbers(pose)
 
 
 def _set_frame(
@@ -538,4 +538,4 @@ def _stretch_visual(visual: ET.Element, size, place) -> None:
     for element in shape:
         if element.tag in factors:
             old = np.array(element.text.split(), dtype=float)
-            element.text = _numbers(np.atleast_1d(old * factors[element.tag]))
+            element.text = numbers(np.atleast_1d(old * factors[element.tag]))

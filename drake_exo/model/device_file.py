@@ -21,6 +21,7 @@ from pydrake.multibody.tree import JointIndex, ModelInstanceIndex
 from drake_exo.errors import InputError, first_line
 from drake_exo.files.tables import read_text
 from drake_exo.model.assembly import Assembly, DeviceFile, Weld
+from drake_exo.model.description import numbers
 
 _KINDS = (".sdf", ".urdf")
 _STRAIGHT = 1e-5  # largest part of an axis that leaves y: 3.1416 for pi
@@ -285,13 +286,13 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
             if kind in _AXIS:
                 xyz = _filled(_filled(element, "axis"), "xyz")
                 xyz.attrib.clear()
-                xyz.text = _numbers(getattr(joint, _AXIS[kind])())
+                xyz.text = numbers(getattr(joint, _AXIS[kind])())
         else:
             _put(element, is_sdf, X_MP[a].inverse() @ X_MP[b])
             if kind in _AXIS:
                 R_PL = X_LP[b].rotation().inverse()
                 along = R_PL @ getattr(joint, _AXIS[kind])()
-                _filled(element, "axis").set("xyz", _numbers(along))
+                _filled(element, "axis").set("xyz", numbers(along))
     for frame in owner.findall("frame"):
         owner.remove(frame)
     for key in ("canonical_link", "placement_frame"):
@@ -308,10 +309,6 @@ _TOLD_FROM = {
     "placement_frame",
     "canonical_link",
 }
-
-
-def _numbers(values) -> str:
-    return " ".join(repr(float(x) + 0.0) for x in values)
 
 
 def _filled(owner: ET.Element, tag: str) -> ET.Element:
@@ -359,9 +356,9 @@ def _put(owner: ET.Element, is_sdf: bool, X: RigidTransform) -> None:
     rpy = X.rotation().ToRollPitchYaw().vector()
     if is_sdf:
         pose = ET.SubElement(owner, "pose")
-        pose.text = _numbers([*X.translation(), *rpy])
+        pose.text = numbers([*X.translation(), *rpy])
     else:
-        place = {"xyz": _numbers(X.translation()), "rpy": _numbers(rpy)}
+        place = {"xyz": numbers(X.translation()), "rpy": numbers(rpy)}
         ET.SubElement(owner, "origin", place)
 
 
