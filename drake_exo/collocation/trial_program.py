@@ -6,6 +6,7 @@ program and one set of contact parameters.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -342,43 +343,37 @@ class TrialProgram:
         )
 
 
+@dataclass(eq=False)
 class Tracking:
     """One tracked signal: rows A (n, r, m) of variables, targets, sigmas.
 
-    Args:
+    Attributes:
         variables: (n, m) decision variables.
         target: (n, r) measured values.
         sigma: noise, broadcast to (n, r); infinite where not tracked.
         rows: (n, r, m) linear map; identity by default.
-        effects: (n, r, k) of unknown errors on the target; none by default.
-
-    Attributes:
-        weights: (n,) of the nodes in the cost [s], once it is part of one.
         role: what the target is: "position" or "velocity" (noise of the
             second is the derivative of the first's), another "measured"
             signal, or a "regulariser", which is none.
+        effects: (n, r, k) of unknown errors on the target; none by default.
+        weights: (n,) of the nodes in the cost [s], once it is part of one.
     """
 
-    def __init__(
-        self,
-        variables,
-        target,
-        sigma,
-        rows=None,
-        role: Role = "measured",
-        effects=None,
-    ):
-        self.role = role
-        self.effects = effects
-        self.variables = variables
-        self.target = np.asarray(target, float)
-        self.sigma = np.broadcast_to(
-            np.asarray(sigma, float), self.target.shape
-        )
-        if rows is None:
-            m = variables.shape[1]
-            rows = np.broadcast_to(np.eye(m), (len(variables), m, m))
-        self.rows = rows
+    variables: np.ndarray
+    target: np.ndarray
+    sigma: np.ndarray | float
+    rows: np.ndarray | None = None
+    role: Role = "measured"
+    effects: np.ndarray | None = None
+    weights: np.ndarray = field(init=False)
+
+    def __post_init__(self):
+        self.target = np.asarray(self.target, float)
+        sigma = np.asarray(self.sigma, float)
+        self.sigma = np.broadcast_to(sigma, self.target.shape)
+        if self.rows is None:
+            n, m = self.variables.shape
+            self.rows = np.broadcast_to(np.eye(m), (n, m, m))
 
 
 def minimised(variables: np.ndarray, sigma) -> Tracking:
