@@ -318,11 +318,9 @@ class BatchedProgram:
 
     def show(self, x: np.ndarray) -> None:
         """Call its visualization callbacks at variables x (num_vars,)."""
-        bindings = self.prog.visualization_callbacks()
-        for binding, index in zip(
-            bindings, _indices(self.prog, bindings), strict=True
-        ):
-            binding.evaluator().Eval(x[index])
+        callbacks = self.prog.visualization_callbacks()
+        for callback, index in _indexed(self.prog, callbacks):
+            callback.Eval(x[index])
 
     def quadratic_cost(self) -> tuple[sp.csr_array, np.ndarray, float]:
         """All linear and quadratic costs as 1/2 x^T Q x + b^T x + c.
@@ -333,18 +331,12 @@ class BatchedProgram:
         prog = self.prog
         n = prog.num_vars()
         b, c = np.zeros(n), 0.0
-        bindings = prog.linear_costs()
-        for binding, index in zip(
-            bindings, _indices(prog, bindings), strict=True
-        ):
-            np.add.at(b, index, binding.evaluator().a())
-            c += binding.evaluator().b()
+        for cost, index in _indexed(prog, prog.linear_costs()):
+            np.add.at(b, index, cost.a())
+            c += cost.b()
         terms = list(self._quadratics)
-        bindings = self._uncovered(prog.quadratic_costs())
-        for binding, index in zip(
-            bindings, _indices(prog, bindings), strict=True
-        ):
-            cost = binding.evaluator()
+        loose = self._uncovered(prog.quadratic_costs())
+        for cost, index in _indexed(prog, loose):
             Q, slope = cost.Q()[None], cost.b()[None]
             terms.append(_quadratics(index[None], Q, slope, cost.c()))
         for term in terms:
@@ -424,11 +416,9 @@ def variable_bounds(prog) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper bounds (num_vars,) from bounding-box constraints."""
     lower = np.full(prog.num_vars(), -np.inf)
     upper = np.full(prog.num_vars(), np.inf)
-    bindings = prog.bounding_box_constraints()
-    for binding, index in zip(bindings, _indices(prog, bindings), strict=True):
-        evaluator = binding.evaluator()
-        np.maximum.at(lower, index, evaluator.lower_bound())
-        np.minimum.at(upper, index, evaluator.upper_bound())
+    for box, index in _indexed(prog, prog.bounding_box_constraints()):
+        np.maximum.at(lower, index, box.lower_bound())
+        np.minimum.at(upper, index, box.upper_bound())
     return lower, upper
 
 
@@ -448,8 +438,7 @@ def linear_rows(prog):
     """
     rows, columns, values, lower, upper, names = [], [], [], [], [], []
     bindings = [*prog.linear_constraints(), *prog.linear_equality_constraints()]
-    for binding, index in zip(bindings, _indices(prog, bindings), strict=True):
-        evaluator = binding.evaluator()
+    for evaluator, index in _indexed(prog, bindings):
         A = sp.coo_array(evaluator.get_sparse_A())
         rows.append(A.row + len(names))
         columns.append(index[A.col])
@@ -486,14 +475,16 @@ def _quadratics(inputs, Q, b, c) -> _Quadratics:
     )
 
 
-def _indices(prog, bindings) -> list[np.ndarray]:
-    """Program indices of each binding's variables; one look-up for all."""
+def _indexed(prog, bindings) -> list[tuple]:
+    """Each evaluator with its variables' indices; one look-up for all."""
     variables = [binding.variables() for binding in bindings]
     if not variables:
         return []
     found = prog.FindDecisionVariableIndices(np.concatenate(variables))
     ends = np.cumsum([len(v) for v in variables])[:-1]
-    return np.split(np.asarray(found, int), ends)
+    evaluators = [binding.evaluator() for binding in bindings]
+    parts = np.split(np.asarray(found, int), ends)
+    return list(zip(evaluators, parts, strict=True))
 
 
 def _sparse(rows, columns, values, shape) -> sp.csr_array:
