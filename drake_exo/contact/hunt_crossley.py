@@ -378,18 +378,6 @@ WRENCH_INPUTS = (
 )
 
 
-class SphereForceDerivatives(NamedTuple):
-    """Forces [N] of shape (...) and derivatives of shape (6, ...).
-
-    First axis as in FORCE_INPUTS.
-    """
-
-    normal: np.ndarray
-    friction: np.ndarray
-    d_normal: np.ndarray
-    d_friction: np.ndarray
-
-
 def _gate(sharpness, value):
     """Gate ½ + ½ tanh and its derivative with respect to `value`."""
     tanh = np.tanh(sharpness * value)
@@ -510,12 +498,16 @@ def sphere_force_derivatives(
     dissipation,
     radius,
     constants: Constants | None = None,
-) -> SphereForceDerivatives:
-    """`sphere_force` and its derivatives by FORCE_INPUTS.
+) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """`sphere_force` and its derivatives.
 
     Arguments and errors as in `hunt_crossley.sphere_force`, floats only.
     Where the simbody law has a corner, at slip speed v_t without rounding,
     the derivative is the one from above.
+
+    Returns:
+        The forces, and derivatives of shape (2, 6, ...): normal, friction by
+        FORCE_INPUTS.
     """
     p = checked_constants(law, constants)
     x, x_dot, v, k, c, r = (
@@ -530,8 +522,7 @@ def sphere_force_derivatives(
         )
     )
     shape = np.broadcast_shapes(*(a.shape for a in (x, x_dot, v, k, c, r)))
-    d_normal = np.empty((6, *shape))
-    d_friction = np.empty((6, *shape))
+    d_normal, d_friction = jacobian = np.empty((2, 6, *shape))
     if law == "paper":
         normal = _paper_normal_derivatives(x, x_dot, k, c, r, p, d_normal)
         slip_square = p.slip_smoothing**2
@@ -548,12 +539,9 @@ def sphere_force_derivatives(
     np.multiply(minus_ratio, d_normal, out=d_friction)
     by_slip = d_mu * direction**2 + mu * slip_square / (speed * speed * speed)
     d_friction[2] = -normal * by_slip
-    return SphereForceDerivatives(
-        np.broadcast_to(normal, shape),
-        np.broadcast_to(minus_ratio * normal, shape),
-        d_normal,
-        d_friction,
-    )
+    friction = minus_ratio * normal
+    force = np.broadcast_to(normal, shape), np.broadcast_to(friction, shape)
+    return force, jacobian
 
 
 def sphere_wrench_derivatives(
@@ -578,7 +566,7 @@ def sphere_wrench_derivatives(
     """
     indentation = radius - np.asarray(center_z, dtype=float)
     arm = contact_arm(law, indentation, radius)
-    force = sphere_force_derivatives(
+    (normal, friction), (d_normal, d_friction) = sphere_force_derivatives(
         law,
         indentation,
         -np.asarray(velocity_z, dtype=float),
@@ -589,13 +577,13 @@ def sphere_wrench_derivatives(
         constants,
     )
     shape = np.broadcast_shapes(
-        force.normal.shape, np.shape(center_x), np.shape(pitch_rate)
+        normal.shape, np.shape(center_x), np.shape(pitch_rate)
     )
     # arm = radius for paper, (radius + center_z)/2 for simbody.
     arm_by_z, arm_by_r = (0.0, 1.0) if law == "paper" else (0.5, 0.5)
     jacobian = np.zeros((4, 8, *shape))
-    by_slip = force.d_friction[2]
-    for row, d_force in ((0, force.d_friction), (1, force.d_normal)):
+    by_slip = d_friction[2]
+    for row, d_force in ((0, d_friction), (1, d_normal)):
         jacobian[row, 1] = -d_force[0]
         jacobian[row, 3] = -d_force[1]
         jacobian[row, 5:7] = d_force[3:5]
@@ -608,8 +596,8 @@ def sphere_wrench_derivatives(
     jacobian[3, 1] = 1.0 - arm_by_z
     jacobian[3, 7] = -arm_by_r
     wrench = SphereWrench(
-        force.friction,
-        force.normal,
+        friction,
+        normal,
         np.broadcast_to(np.asarray(center_x, dtype=float), shape),
         np.broadcast_to(center_z - arm, shape),
     )

@@ -834,14 +834,16 @@ def measures(curves: ContactCurves) -> dict:
     """
     x = np.linspace(-0.05, 0.0, 1001)
     given = curves.parameters("paper")
-    away = sphere_force_derivatives("paper", x, 0.0, 0.0, *given)
-    dry = replace(curves, viscous_friction=0.0).constants("paper")
+    (normal, _), (slope, _) = sphere_force_derivatives(
+        "paper", x, 0.0, 0.0, *given
+    )
+    dry = replace(curves.constants("paper"), viscous_friction=0.0)
     ratio = np.linspace(0.0, 4.0, 4001)
     mu = friction_coefficient("paper", ratio * dry.transition_velocity, dry)
     return {
         "parameters": curves,
-        "force_out_of_contact_n": np.max(away.normal),
-        "slope_out_of_contact_n_per_m": np.min(away.d_normal[0]),
+        "force_out_of_contact_n": np.max(normal),
+        "slope_out_of_contact_n_per_m": np.min(slope[0]),
         "peak_friction": np.max(mu),
         "peak_friction_at_v_rel": ratio[np.argmax(mu)],
         "friction_at_v_rel_3": mu[3000],

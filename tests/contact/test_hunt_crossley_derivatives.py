@@ -57,17 +57,14 @@ def test_force_derivatives(law, rounding, dynamic, regime, check_derivatives):
         *parameters(law, rng, n),
     ]
     constants = constants_of(law, dynamic, rounding)
-    result = sphere_force_derivatives(law, *arguments, constants)
-    assert result.d_normal.shape == (len(FORCE_INPUTS), n)
-    force = sphere_force(law, *arguments, constants)
-    np.testing.assert_allclose(result.normal, force[0], rtol=1e-13, atol=1e-13)
-    np.testing.assert_allclose(
-        result.friction, force[1], rtol=1e-13, atol=1e-13
-    )
+    force, jacobian = sphere_force_derivatives(law, *arguments, constants)
+    assert jacobian.shape == (2, len(FORCE_INPUTS), n)
+    expected = sphere_force(law, *arguments, constants)
+    np.testing.assert_allclose(force, expected, rtol=1e-13, atol=1e-13)
     check_derivatives(
         lambda *a: np.array(sphere_force(law, *a, constants)),
         arguments,
-        np.array([result.d_normal, result.d_friction]),
+        jacobian,
     )
 
 
@@ -102,14 +99,12 @@ def test_arguments_broadcast(law):
     k, c, r = (p[-1] for p in parameters(law, rng, 20))
     x = rng.uniform(-0.02, 0.02, (5, 1))
     slip = rng.uniform(-0.1, 0.1, 7)
-    result = sphere_force_derivatives(law, x, 0.1, slip, k, c, r)
-    assert result.normal.shape == result.friction.shape == (5, 7)
-    assert result.d_normal.shape == (6, 5, 7)
-    one = sphere_force_derivatives(law, x[3, 0], 0.1, slip[4], k, c, r)
-    assert one.normal == result.normal[3, 4]
-    np.testing.assert_allclose(
-        one.d_friction, result.d_friction[:, 3, 4], rtol=1e-14
-    )
+    force, jacobian = sphere_force_derivatives(law, x, 0.1, slip, k, c, r)
+    assert force[0].shape == force[1].shape == (5, 7)
+    assert jacobian.shape == (2, 6, 5, 7)
+    one, own = sphere_force_derivatives(law, x[3, 0], 0.1, slip[4], k, c, r)
+    assert one[0] == force[0][3, 4]
+    np.testing.assert_allclose(own[1], jacobian[1, :, 3, 4], rtol=1e-14)
     wrench, jacobian = sphere_wrench_derivatives(
         law, slip, r - x, 0.0, 0.0, 0.0, k, c, r
     )
