@@ -76,8 +76,7 @@ def settle_foot(
         q[:, 0] = foot[:, 0].mean() + drift - drift.mean()
         loads = _loads(ends, q, ground, height)
         if len(spheres) == 2:
-            depths = _depths(kernel, ends, loads)
-            q[:, 1:] = _pose(ends, depths)
+            q[:, 1:], depths = _apart(kernel, ends, loads)
         else:
             q[:, 1:], loads, depths = _together(kernel, spheres, q, loads)
         height = _height(kernel.law, spheres, loads, depths)
@@ -140,13 +139,25 @@ def _reach(places, pitch):
     return np.stack([c * x - s * z, s * x + c * z])
 
 
-def _depths(kernel, spheres, loads):
-    """Indentations (n, 2) that carry the loads [m]."""
+def _apart(kernel, spheres, loads):
+    """The pose at which each of two spheres bears its own load.
+
+    Returns:
+        Height and pitch (n, 2), indentations (n, 2).
+    """
 
     def excess(depth):
         return static_force(kernel, spheres, depth) - loads
 
-    return bisected(excess, -_CLEARANCE, _DEEPEST, loads.shape)
+    depths = bisected(excess, -_CLEARANCE, _DEEPEST, loads.shape)
+    _, _, px, pz, r = spheres.T
+    heights = r - depths
+    dx, dz = np.diff(px)[0], np.diff(pz)[0]
+    rise = np.diff(heights, axis=1)[:, 0] / np.hypot(dx, dz)
+    pitch = np.arcsin(np.clip(rise, -_LARGEST_SLOPE, _LARGEST_SLOPE))
+    pitch -= np.arctan2(dz, dx)
+    z = heights[:, 0] - np.sin(pitch) * px[0] - np.cos(pitch) * pz[0]
+    return np.column_stack([z, pitch]), depths
 
 
 def _height(law, spheres, loads, depths):
@@ -269,18 +280,6 @@ def bisected(increasing, lower, upper, shape, steps=_BISECTIONS):
         share = below / (below - above) if step > steps - _STRAIGHT else 0.5
         at = low + share * (high - low)
     return at
-
-
-def _pose(spheres, depths):
-    """Height and pitch (n, 2) of the foot at given indentations."""
-    _, _, px, pz, r = spheres.T
-    heights = r - depths
-    dx, dz = np.diff(px)[0], np.diff(pz)[0]
-    rise = np.diff(heights, axis=1)[:, 0] / np.hypot(dx, dz)
-    pitch = np.arcsin(np.clip(rise, -_LARGEST_SLOPE, _LARGEST_SLOPE))
-    pitch -= np.arctan2(dz, dx)
-    z = heights[:, 0] - np.sin(pitch) * px[0] - np.cos(pitch) * pz[0]
-    return np.column_stack([z, pitch])
 
 
 _LOADED_N = 5.0
