@@ -98,9 +98,16 @@ class Optimum:
         g = problem.constraints(y)
         slack = np.minimum(g - problem.g_lower, problem.g_upper - g)
         self.held = held = np.flatnonzero(slack < _ACTIVE)
-        H = _hessian(problem, y)
+        # Of Gauss and Newton; both triangles.
+        lower = sp.csr_array(
+            (problem.gauss_newton(y), problem.hessian_structure),
+            (len(y), len(y)),
+        )
+        H = (lower + sp.tril(lower, -1).T).tocsr()
         H = (H if without is None else H - without)[free][:, free]
-        A = _jacobian(problem, y)[held][:, free]
+        A = sp.csr_array(
+            (problem.jacobian(y), problem.jacobian_structure), (len(g), len(y))
+        )[held][:, free]
         K = sp.block_array(
             [
                 [H + _REGULAR * sp.eye_array(len(free)), A.T],
@@ -201,20 +208,3 @@ class Optimum:
                 conditions(variable, step) - conditions(variable, -step)
             ) / (2.0 * step)
         return self._moved(-change)
-
-
-def _jacobian(problem: SparseProgram, y: np.ndarray) -> sp.csr_array:
-    shape = (problem.num_constraints, problem.num_unknowns)
-    return sp.csr_array(
-        (problem.jacobian(y), problem.jacobian_structure), shape
-    )
-
-
-def _hessian(problem: SparseProgram, y: np.ndarray) -> sp.csr_array:
-    """Gauss-Newton Hessian, both triangles."""
-    rows, columns = problem.hessian_structure
-    ny = problem.num_unknowns
-    lower = sp.csr_array(
-        (problem.gauss_newton(y), (rows, columns)), shape=(ny, ny)
-    )
-    return (lower + sp.tril(lower, -1).T).tocsr()
