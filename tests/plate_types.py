@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import ezc3d
 import numpy as np
 
+from drake_exo.files.c3d import add_platforms, write_c3d
 from drake_exo.files.tables import PlateRecording, plate_axes
 
 _LABELS = {
@@ -80,13 +81,9 @@ def write_types(path, markers, plates, designs, samples_per_frame=1) -> None:
         designs: how the plates are built in.
         samples_per_frame: analog samples of one marker frame.
     """
-    file = ezc3d.c3d()
-    point, analog = file["parameters"]["POINT"], file["parameters"]["ANALOG"]
-    point["UNITS"]["value"] = ["mm"]
-    point["RATE"]["value"] = [markers.rate_hz]
-    point["LABELS"]["value"] = list(markers.names)
-    p = 1e3 * markers.positions.transpose(2, 1, 0)
-    file["data"]["points"] = np.concatenate([p, np.ones((1, *p.shape[1:]))])
+    write_c3d(path, markers)
+    file = ezc3d.c3d(str(path))
+    analog = file["parameters"]["ANALOG"]
     labels, units, signals, used = [], [], [], []
     for i, (plate, design) in enumerate(zip(plates, designs, strict=True)):
         names = _LABELS[design.kind]
@@ -106,9 +103,6 @@ def write_types(path, markers, plates, designs, samples_per_frame=1) -> None:
 def _add_platforms(file, designs, used) -> None:
     rows = max(map(len, used))
     entries = {
-        "USED": [len(designs)],
-        "TYPE": [d.kind for d in designs],
-        "ZERO": [0, 0],
         "CORNERS": np.stack(
             [1e3 * np.asarray(d.corners).T for d in designs], 2
         ),
@@ -123,10 +117,4 @@ def _add_platforms(file, designs, used) -> None:
             ],
             2,
         )
-    parameters = file["parameters"]
-    for name, value in entries.items():
-        value = np.asarray(value)
-        file.add_parameter("FORCE_PLATFORM", name, value.astype(float))
-        if value.dtype.kind == "i":  # ezc3d makes reals of whole numbers
-            whole = parameters["POINT"]["USED"]["type"]
-            parameters["FORCE_PLATFORM"][name]["type"] = whole
+    add_platforms(file, [d.kind for d in designs], **entries)

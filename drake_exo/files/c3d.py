@@ -555,7 +555,14 @@ def write_c3d(
         )
         analog["RATE"]["value"] = [markers.rate_hz * samples_per_frame]
         file["data"]["analogs"] = np.hstack(signals).T[None]
-        _add_platforms(file, corners)
+        count = len(corners)
+        add_platforms(
+            file,
+            [2] * count,
+            CORNERS=np.stack([1e3 * np.asarray(c).T for c in corners], 2),
+            ORIGIN=1e3 * np.tile(_ORIGIN_M, (count, 1)).T,
+            CHANNEL=1 + np.arange(6 * count).reshape(count, 6).T,
+        )
     file.write(str(path))
     _check_written(Path(path))
 
@@ -580,16 +587,9 @@ def _check_written(path: Path) -> None:
         ) from error
 
 
-def _add_platforms(file, corners: Sequence[np.ndarray]) -> None:
-    count = len(corners)
-    entries = {
-        "USED": [count],
-        "TYPE": [2] * count,
-        "ZERO": [0, 0],
-        "CORNERS": np.stack([1e3 * np.asarray(c).T for c in corners], 2),
-        "ORIGIN": 1e3 * np.tile(_ORIGIN_M, (count, 1)).T,
-        "CHANNEL": 1 + np.arange(6 * count).reshape(count, 6).T,
-    }
+def add_platforms(file, kinds: Sequence[int], **entries) -> None:
+    """Add what FORCE_PLATFORM says of plates of these types to ezc3d's file."""
+    entries = {"USED": [len(kinds)], "TYPE": kinds, "ZERO": [0, 0], **entries}
     parameters = file["parameters"]
     for name, value in entries.items():
         value = np.asarray(value)
