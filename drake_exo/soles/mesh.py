@@ -227,10 +227,8 @@ class TetMesh:
         """∂/∂nodes of Σ share · quality [1/m], (n, 3); no volume may be 0."""
         # Those of a soft minimum are nothing at most elements.
         felt = np.abs(share) > _UNFELT * np.abs(share).max()
-        part, out = (
-            replace(self, tets=self.tets[felt]),
-            np.zeros_like(self.nodes),
-        )
+        part = replace(self, tets=self.tets[felt])
+        out = np.zeros_like(self.nodes)
         x = part._from_middles()
         away = (x**2).sum(axis=(1, 2))[:, None, None]
         size = (part.quality() * share[felt])[:, None, None]
