@@ -781,8 +781,8 @@ class Prediction(_Solved, Trial):
         """The trial as measured, its encoders on the clock that was found."""
         check_type(measured, Trial, "measured")
         own = [c for c in self.clocks if c.trial == measured.name]
-        lags = measured.provenance.get("delays_s", {})
-        return retimed(measured, own) if "encoders" in lags else measured
+        is_timed = "encoders" in measured.lags_s
+        return retimed(measured, own) if is_timed else measured
 
     def audit(self) -> Audit:
         """Whether it holds between its nodes, and simulates."""
@@ -987,8 +987,7 @@ def _timing(
     No result where that tells nothing, no clocks where it is not solved. They
     need no grid as fine as forces do.
     """
-    lags = trial.provenance.get("delays_s", {})
-    timed = "encoders" in lags and has_encoders(trial)
+    timed = "encoders" in trial.lags_s and has_encoders(trial)
     if contact.posterior is None or not timed:
         return None, []
     solver = study.interaction.solver

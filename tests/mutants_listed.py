@@ -409,7 +409,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     "drake_exo/calibration/clocks.py": [
         ("return QUANTILE_95 * self.sd_s", "return self.sd_s"),
         ("float(lag + late)", "float(late)"),
-        ("c.lag_s - lags.get(c.system, 0.0)", "c.lag_s"),
+        ("c.lag_s - trial.lags_s.get(c.system, 0.0)", "c.lag_s"),
         ("covariance[j, j] += more**2", "covariance[j, j] += more"),
         ("(trial.times + late)", "(trial.times - late)"),
     ],

@@ -98,7 +98,7 @@ def clocks_of(trials: Iterable[Trial], known: Posterior) -> list[Clock]:
     """
     found = []
     for trial in trials:
-        for system, lag in trial.provenance.get("delays_s", {}).items():
+        for system, lag in trial.lags_s.items():
             name = f"{trial.name}.{CLOCKS.get(system)}"
             if name in known.names:
                 (late,), ((variance,),) = known.of([name])
@@ -109,10 +109,9 @@ def clocks_of(trials: Iterable[Trial], known: Posterior) -> list[Clock]:
 
 def left(trial: Trial, own: Sequence[Clock]) -> Posterior:
     """What a recorded trial's own clocks lag besides what was taken out."""
-    lags = trial.provenance.get("delays_s", {})
     return Posterior(
         tuple(f"{trial.name}.{CLOCKS[c.system]}" for c in own),
-        np.array([c.lag_s - lags.get(c.system, 0.0) for c in own]),
+        np.array([c.lag_s - trial.lags_s.get(c.system, 0.0) for c in own]),
         np.diag([c.sd_s**2 for c in own]),
     )
 
@@ -129,8 +128,7 @@ def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
     lags = {c.system: c.lag_s for c in own if c.system == "encoders"}
     if not lags:
         return trial
-    taken_out = trial.provenance.get("delays_s", {})
-    late = lags["encoders"] - taken_out.get("encoders", 0.0)
+    late = lags["encoders"] - trial.lags_s.get("encoders", 0.0)
     names, device = trial.coordinates, trial.coordinates.device_columns
 
     def shown(x: np.ndarray) -> np.ndarray:
@@ -148,7 +146,7 @@ def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
         if clock.system in words:
             doubt = "" if clock.sure else ", unsure"
             words[clock.system] = clock.sentence + doubt
-    said = {"delays_s": taken_out | lags, "clocks": words}
+    said = {"delays_s": trial.lags_s | lags, "clocks": words}
     return replace(
         trial,
         **motion,
@@ -280,7 +278,7 @@ def clock_checks(
     made = []
     for trial in trials:
         said = trial.provenance.get("clocks", {})
-        for system, lag in trial.provenance.get("delays_s", {}).items():
+        for system, lag in trial.lags_s.items():
             clock, doubt = known.get((trial.name, system)), (None, None, "")
             if clock is not None:
                 sure, text = clock.sure, clock.sentence

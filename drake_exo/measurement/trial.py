@@ -238,6 +238,11 @@ class Trial:
         return float(self.times[-1] - self.times[0])
 
     @property
+    def lags_s(self) -> dict[str, float]:
+        """Lag of each clock that was taken out [s]; of recordings alone."""
+        return self.provenance.get("delays_s", {})
+
+    @property
     def chair_shares(self) -> dict[str, float]:
         """Segment -> share of the chair's wrench; none where none is felt."""
         # Zero all the time is no chair, and costs nothing.

@@ -210,6 +210,12 @@ def test_signals_that_are_not_known_are_refused(trial, whole):
         whole.cuff("pelvis")
 
 
+def test_lags_are_those_of_the_recording(trial):
+    assert trial.lags_s == {}
+    said = {"delays_s": {"forces": 0.013}}
+    assert replace(trial, provenance=said).lags_s == {"forces": 0.013}
+
+
 def test_a_chair_acts_on_pelvis_and_thighs(trial, whole):
     assert trial.chair_shares == {}
     assert whole.chair_shares == {"pelvis": 0.75, "thigh": 0.25}
