@@ -7,13 +7,13 @@ import numpy as np
 
 from drake_exo.files.output import Check
 from drake_exo.measurement.kinematics import inverse_dynamics
+from drake_exo.measurement.plausibility import LIMITS
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import Trial
 
 # Beyond these a line of the report is marked; what refuses is `plausibility`.
 LARGEST_MARKER_RMS_M = 0.02
 LARGEST_RESIDUAL_N = 0.05  # of body weight
-LARGEST_MASS_ERROR = 0.05
 LARGEST_GAPS = 0.1
 LARGEST_DELAY_S = 0.03
 
@@ -119,7 +119,7 @@ def assess(
     warnings = []
     if measured is not None and stated is not None:
         off = measured / stated - 1.0
-        if abs(off) > LARGEST_MASS_ERROR:
+        if 100.0 * abs(off) > LIMITS["mass"][0]:
             warnings.append(
                 f"standing gives {measured:.1f} kg, the study says "
                 f"{stated:.1f} kg ({100 * off:+.0f} %); check plates and mass"

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from drake_exo.measurement import quality
+from drake_exo.measurement.plausibility import LIMITS
 
 N = 4
 RESIDUAL = np.array(
@@ -70,8 +71,9 @@ def test_stuck_cells_of_a_mat_are_warned_of(assessed):
 
 
 @pytest.mark.parametrize("beyond", [0.99, 1.01])
-def test_what_is_beyond_its_limit_is_warned_of(assessed, beyond):
+def test_what_is_beyond_its_limit_is_warned_of(assessed, beyond, monkeypatch):
     """Markers, Newton, gaps, clocks and the mass, each by one per cent."""
+    monkeypatch.setitem(LIMITS, "mass", (8.0, "%", "standing"))
     size = np.sqrt(1800.0)
     found = assessed(
         {"heel": beyond * quality.LARGEST_MARKER_RMS_M, "toe": 0.001},
@@ -80,7 +82,7 @@ def test_what_is_beyond_its_limit_is_warned_of(assessed, beyond):
             "gaps_filled": {"heel": 2.0 * beyond * quality.LARGEST_GAPS},
             "delays_s": {"mats": -beyond * quality.LARGEST_DELAY_S},
         },
-        standing_mass_kg=60.0 * (1.0 - beyond * quality.LARGEST_MASS_ERROR),
+        standing_mass_kg=60.0 - 0.6 * 8.0 * beyond,
         stated_mass_kg=60.0,
     )
     (t,) = found.trials
