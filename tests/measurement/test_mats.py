@@ -579,3 +579,7 @@ def test_rows_that_are_columns_are_told_by_their_distance(folder):
             cell_directions(wrong, "m", folder)
     single = replace(MAT, rows=1, columns=5, cell_area_m2=1e-3)
     cell_directions(single, "m", folder)
+    alone = replace(single, columns=1)  # which has no neighbour
+    inward, report = cell_directions(alone, "m", folder)
+    np.testing.assert_allclose(inward, [[-1.0, 0.0, 0.0]], atol=0.05)
+    assert report == {"surface": "scan.stl"}
