@@ -198,7 +198,7 @@ def _read_cells(path: Path, rows: int, columns: int) -> np.ndarray:
     """Cells' places, in the order of the mat."""
     table = read_places(path)
     wanted = [(r, c) for r in range(rows) for c in range(columns)]
-    found = {(int(t[0]) - 1, int(t[1]) - 1): t[2:] for t in table}
+    found = {(row - 1, column - 1): xyz for row, column, *xyz in table}
     if sorted(found) != wanted or len(table) != len(wanted):
         raise InputError(
             f"{path}: must hold row (1 to {rows}), column (1 to {columns}), "

@@ -221,6 +221,10 @@ def test_cells_may_be_placed_one_by_one(tmp_path):
     assert cells[1, 1] > 0.005
     with pytest.raises(InputError, match="each of the 4 cells once"):
         place_cells(surface, where, 2, 2, tmp_path)
+    between = "\n".join(rows).replace("1,2,", "1,2.4,")
+    (tmp_path / "cells.csv").write_text(between)
+    with pytest.raises(InputError, match="each of the 2 cells once"):
+        place_cells(surface, where, 1, 2, tmp_path)
     turned = "\n".join(["row,column,z,x,y", *rows[1:]])
     (tmp_path / "cells.csv").write_text(turned)
     with pytest.raises(InputError, match="in the order row, column, x, y, z"):
