@@ -343,7 +343,7 @@ class TrialProgram:
         )
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class Tracking:
     """One tracked signal: rows A (n, r, m) of variables, targets, sigmas.
 

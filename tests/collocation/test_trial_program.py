@@ -173,6 +173,11 @@ def test_contact_settles_to_body_weight(human, law, transcription):
     assert np.min(lowest, axis=0).max() < -1e-3
 
 
+def test_a_term_is_shown_that_is_in_no_cost_yet():
+    zero = np.zeros((2, 1))
+    assert "Tracking" in repr(Tracking(zero, zero, 1.0))
+
+
 def test_worst_constraints_name_trial_node_and_row(human):
     posed = standing(human, "simbody", "hermite_simpson")
     program, movement, *_ = posed
