@@ -423,7 +423,7 @@ def run_batch(
             for key in dict.fromkeys(k for v in batch.variants() for k in v):
                 check_key(file_class(is_sole(key)), key)
                 if any(map(str.isdecimal, key.split("."))):
-                    _check_place(key, todo)
+                    _check_place(key, tasks)
             _check_options(batch, function_of(parse))
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from error
@@ -475,14 +475,17 @@ def _check_place(key: str, tasks: Sequence[Task]) -> None:
     """Refuse a place in a list that is in none of the files."""
     wrong = {}
     for task in tasks:
-        if key in task.changes and task.source not in (None, *wrong):
-            cls, change = file_class(is_sole(key)), {key: task.changes[key]}
-            try:
-                changed_text(task.source, cls, change, task.root)
-            except InputError as error:
-                wrong[task.source] = error
-            else:
-                return
+        if key not in task.changes or task.source in wrong:
+            continue
+        if task.source is None:  # a laboratory writes it first
+            return
+        cls, change = file_class(is_sole(key)), {key: task.changes[key]}
+        try:
+            changed_text(task.source, cls, change, task.root)
+        except InputError as error:
+            wrong[task.source] = error
+        else:
+            return
     if wrong:
         raise next(iter(wrong.values()))
 

@@ -9,10 +9,12 @@ from pathlib import Path
 import pytest
 
 from drake_exo.batch import run
-from drake_exo.batch.file import Task
+from drake_exo.batch.file import Task, read_batch, tasks_of
 from drake_exo.batch.run import (
+    _MARK,
     TASK,
     TIMING,
+    outcome,
     read_outcome,
     run_batch,
     run_task,
@@ -225,6 +227,37 @@ def test_tables_are_written_while_no_other_run_may(tmp_path):
 
     found = run_batch(path, out, stop, "drake_exo.cli:parse", write)
     assert told == [found] and found.exit_code == 130
+
+
+@pytest.mark.parametrize("other", ["a", "seed_1"])
+def test_a_place_that_one_file_has_is_each_file_s_affair(tmp_path, other):
+    """Of what is done already, or yet to be written by a laboratory."""
+    path, out = tmp_path / "b.yaml", tmp_path / "out"
+    study = Path(__file__).parents[1] / "studies" / "opencap_sts1.yaml"
+    text = study.read_text("utf-8")
+    (tmp_path / "c.yaml").write_text(text)
+    more = "  - {name: a, markers: a.trc, forces: a.mot, plates: {both: 1}}\n"
+    (tmp_path / "a.yaml").write_text(
+        text.replace("trials:\n", f"trials:\n{more}")
+    )
+    entries = {"a": "studies: [a.yaml, c.yaml]", "seed_1": "studies: [c.yaml]"}
+    path.write_text(
+        f"steps: [check]\n{entries[other]}\n"
+        "sweep: {trials.3.use: [prediction]}\n"
+        + "laboratories: {seeds: [1]}\n"
+        * (other != "a")
+    )
+    for task in tasks_of(read_batch(path), tmp_path):
+        if task.entry == "a":
+            (out / task.name).mkdir(parents=True)
+            write_json(out / task.name / TASK, outcome(task, 0))
+            (out / _MARK).touch()
+
+    def stop():
+        raise KeyboardInterrupt
+
+    found = run_batch(path, out, stop, "drake_exo.cli:parse", print)
+    assert found.interrupted and {t.entry for t in found.tasks} == {other, "c"}
 
 
 @pytest.mark.parametrize("name", ["case.yaml", "bert.yml"])
