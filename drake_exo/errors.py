@@ -5,6 +5,7 @@ Imported at every start of the command, so it imports next to nothing.
 
 from collections.abc import Iterable, Mapping
 from math import isfinite
+from numbers import Integral
 from pathlib import Path
 
 _LONGEST = 120  # characters of another library's message
@@ -96,6 +97,30 @@ def check_type(value: object, cls: type, what: str) -> None:
     if not isinstance(value, cls):
         begin = " ".join(repr(value).split())  # an array's has many lines
         raise InputError(f"{what} is {begin:.60}; give a {cls.__name__}")
+
+
+def check_count(value: object, least: int, what: str) -> None:
+    """Refuse what is no whole number, or is below `least`.
+
+    Raises:
+        InputError: naming the argument.
+    """
+    if not isinstance(value, Integral) or value < least:
+        raise InputError(
+            f"{what} is {value!r:.60}; give a whole number from {least} on"
+        )
+
+
+def path_of(given: object, what: str) -> Path:
+    """The path that somebody gives, as text or as a path.
+
+    Raises:
+        InputError: it is neither, naming the argument.
+    """
+    try:
+        return Path(given)
+    except TypeError as error:
+        raise InputError(f"{what} is {given!r:.60}; give a path") from error
 
 
 def check_fields(values: object, what: str) -> None:

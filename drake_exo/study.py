@@ -74,6 +74,7 @@ from drake_exo.errors import (
     check_data_root,
     check_type,
     nearest,
+    path_of,
 )
 from drake_exo.files import schema
 from drake_exo.files.output import (
@@ -491,10 +492,10 @@ def read_study(
     drake_exo.errors.InputError: nowhere.yaml: cannot be read (No such file \
 or directory); check the path
     """
-    file = schema.load(path, StudyFile)
-    root = Path(path).parent if data_root is None else Path(data_root)
+    file, path = schema.load(path, StudyFile), Path(path)
+    root = path.parent if data_root is None else path_of(data_root, "data_root")
     check_data_root(root)
-    return RecordedStudy(file, root, Path(path))
+    return RecordedStudy(file, root, path)
 
 
 class _Solved:
@@ -704,7 +705,7 @@ class Calibration(_Solved):
         """
         from drake_exo.report import figures
 
-        folder, found = Path(folder), self.result.unsealed()
+        folder, found = path_of(folder, "folder"), self.result.unsealed()
         folder.mkdir(parents=True, exist_ok=True)
         verdict = verdict or self.verdict()
         summary, mark = self.summary(verdict), verdict.mark
@@ -807,7 +808,7 @@ class Prediction(_Solved, Trial):
             verdict: whose mark tables bear; that of the solve and its audit if
                 None.
         """
-        folder, band = Path(folder), self.bands()
+        folder, band = path_of(folder, "folder"), self.bands()
         if verdict is None:
             verdict = Verdict(tuple(phase_checks(self.result, [self.audit()])))
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,14 +1,18 @@
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from drake_exo import read_contact, read_design, read_study
 from drake_exo.errors import (
     InputError,
     check_bounds,
+    check_count,
     check_fields,
     check_file_name,
     nearest,
+    path_of,
 )
 
 MASS = {"unit": "kg", "above": 0.0, "maximum": 300.0}
@@ -18,6 +22,27 @@ MASS = {"unit": "kg", "above": 0.0, "maximum": 300.0}
 def test_numbers_within_bounds_pass(value):
     check_bounds("mass", value, MASS)
     check_bounds("mass", value, {})
+
+
+@pytest.mark.parametrize("value", [1.0, 1.5, "1", None, 0, np.float64(2)])
+def test_other_numbers_than_whole_ones_are_refused(value):
+    check_count(1, 1, "trials")
+    check_count(np.int64(3), 1, "trials")
+    with pytest.raises(InputError, match=r"trials is .*; give a whole number"):
+        check_count(value, 1, "trials")
+
+
+@pytest.mark.parametrize("value", [5, 2.5, None, b"a", ["a"]])
+def test_what_is_no_path_is_refused(value):
+    assert path_of("a", "folder") == path_of(Path("a"), "folder") == Path("a")
+    with pytest.raises(InputError, match=r"folder is .*; give a path"):
+        path_of(value, "folder")
+
+
+@pytest.mark.parametrize("read", [read_study, read_contact, read_design])
+def test_readers_refuse_numbers_for_paths(read):
+    with pytest.raises(InputError, match="is 5; give a path"):
+        read(5)
 
 
 @pytest.mark.parametrize(

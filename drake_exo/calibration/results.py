@@ -22,7 +22,7 @@ from drake_exo.contact.parameters import (
     GroundContact,
     Posterior,
 )
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, path_of
 from drake_exo.files import schema
 from drake_exo.files.opensim import write_table
 from drake_exo.files.output import HOLDS, Check, Verdict, checksum, write_json
@@ -347,7 +347,8 @@ def read_calibration(folder: str | Path) -> StoredCalibration:
     Raises:
         InputError: the folder holds none.
     """
-    path = Path(folder) / PARAMETERS
+    folder = path_of(folder, "folder")
+    path = folder / PARAMETERS
     try:
         stored = schema.load(path, _Stored)
     except InputError as error:
@@ -355,7 +356,7 @@ def read_calibration(folder: str | Path) -> StoredCalibration:
             f"no calibrated parameters ({error}); give the folder that a "
             "successful calibration was written to"
         ) from error
-    return StoredCalibration(Path(folder), stored.contact, stored.origin)
+    return StoredCalibration(folder, stored.contact, stored.origin)
 
 
 def read_contact(
@@ -535,4 +536,4 @@ def read_trial(folder: Path, name: str, source: str = "solution") -> Trial:
         raise InputError(
             f"source is {source!r}; give one of {', '.join(_SOURCES)}"
         )
-    return Trial.load(Path(folder) / f"{source}_{name}")
+    return Trial.load(path_of(folder, "folder") / f"{source}_{name}")

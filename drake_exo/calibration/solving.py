@@ -14,7 +14,7 @@ from drake_exo.calibration.audit import (
     between_nodes,
 )
 from drake_exo.calibration.problem import Parts, PhaseProblem, PhaseResult
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, path_of
 from drake_exo.files.output import Progress, read_arrays
 from drake_exo.nlp.ipopt import Iterate, Solution
 
@@ -202,7 +202,7 @@ def _solve_first(
     """On the grid of the settings; the newest iterate is kept in `folder`."""
     if folder is None:
         return problem.solve(on_iterate=SolveWatch(title), near=near)
-    folder = Path(folder)
+    folder = path_of(folder, "folder")
     folder.mkdir(parents=True, exist_ok=True)
     checkpoint = folder / CHECKPOINT
     fingerprint = problem.compiled.fingerprint()

@@ -101,6 +101,7 @@ def run(args: argparse.Namespace) -> int:
     trials = args.trials
     if trials is None:
         trials = NUM_USED if shipped else 3
+    processes = max(min(args.jobs, trials), 1)
     design = None if args.design is None else read_design(args.design)
     with prepare_output_folder(
         args.out, args.force, reads=[args.design, args.model]
@@ -114,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
                 full=args.full,
                 files=args.files,
                 truth=args.truth or KINDS[0],
-                processes=max(min(args.jobs, trials), 1),
+                processes=processes,
                 design=design,
             )
         else:
@@ -127,6 +128,7 @@ def run(args: argparse.Namespace) -> int:
                 trials,
                 left_share=args.left_share,
                 files=args.files,
+                processes=processes,
             )
     several = "s" * (trials != 1)
     print(f"wrote {args.out}/study.yaml with {trials} trial{several}")

@@ -25,7 +25,7 @@ from scipy.interpolate import BSpline
 from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.systems import made_on_demand
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, path_of
 from drake_exo.files import schema
 from drake_exo.files.schema import quantity
 from drake_exo.model.description import (
@@ -564,7 +564,7 @@ def read_design(folder: str | Path) -> Design:
     ...     read_design(folder).cuffs["thigh"].along_m
     0.02
     """
-    path = Path(folder)
+    path = path_of(folder, "folder")
     return schema.load(path / DESIGN if path.is_dir() else path, Design)
 
 

@@ -19,7 +19,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from drake_exo.errors import InputError, nearest, printable
+from drake_exo.errors import InputError, nearest, path_of, printable
 
 Reader = TypeVar("Reader", bound=Callable)
 # No measurement is larger in any unit; squares and sums stay numbers.
@@ -34,7 +34,7 @@ def read_bytes(path: str | Path, remedy: str = "check the path") -> bytes:
         InputError: it cannot be read, or is no file (a device or a pipe
             may never end); `remedy` ends the sentence.
     """
-    path = Path(path)
+    path = path_of(path, "path")
     try:
         if not (path.is_file() or path.is_dir()) and path.exists():
             raise InputError(

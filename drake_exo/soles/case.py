@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, path_of
 from drake_exo.files import schema
 from drake_exo.soles.optimize.design import Design
 from drake_exo.soles.optimize.files import Checkpoint, read_checkpoint
@@ -69,7 +69,8 @@ class Case(Setup):
             InputError: With file, line, key and remedy; or the ZMP leaves
                 the sole.
         """
-        root, settings = data_root or Path(path).parent, Settings.read(path)
+        settings = Settings.read(path)
+        root = data_root or Path(path).parent
         try:
             return cls.open(settings, root, mesh_file, read_step)
         except InputError as error:
@@ -122,8 +123,8 @@ class Case(Setup):
                 `simulate`.
         """
         self.check_load()
-        if isinstance(resume, Path | str):
-            resume = read_checkpoint(Path(resume))
+        if not isinstance(resume, Checkpoint | None):
+            resume = read_checkpoint(path_of(resume, "resume"))
         if resume is not None and resume.case not in ("", self.name):
             raise InputError(
                 f"resume: the checkpoint is of the case {resume.case!r}, "
@@ -136,6 +137,6 @@ class Case(Setup):
                 "resume: the checkpoint is of other settings, another mesh "
                 "or load of this case; only iterations may change"
             )
-        folder = None if folder is None else Path(folder)
+        folder = None if folder is None else path_of(folder, "folder")
         say = say or (lambda text: None)
         return optimise(self, folder, say, resume, at_once)

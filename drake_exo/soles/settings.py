@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from drake_exo.errors import InputError, check_data_root
+from drake_exo.errors import InputError, check_data_root, path_of
 from drake_exo.files import schema
 from drake_exo.files.output import checksum
 from drake_exo.files.schema import (
@@ -352,7 +352,7 @@ class Settings:
         block = self.mesh
         if replacement is None and block.brick is not None:
             return brick(block.brick.size_m, block.brick.divisions)
-        path = Path(replacement or root / block.file)
+        path = path_of(replacement or root / block.file, "mesh_file")
         origin = None if block.file is None else block.origin_m
         if replacement is not None and origin is not None:
             origin = (0.0, 0.0, 0.0)  # as sole.vtk, in the sole's frame
@@ -423,7 +423,7 @@ class Setup:
                 sole, or all.
         """
         root, friction, ground = (
-            Path(data_root),
+            path_of(data_root, "data_root"),
             settings.contact.friction,
             FLAT,
         )

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from drake_exo.contact.strap import Design
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_count, check_type, path_of
 from drake_exo.files.opensim import write_table
 from drake_exo.files.output import Progress, read_json, write_json
 from drake_exo.jobs.engine import Ended, Job, Processes, run_jobs
@@ -233,7 +233,9 @@ def protocol(count: int | None = None, full: bool = False) -> list[Repetition]:
     Raises:
         InputError: a count that is not from one to nine.
     """
-    if count is not None and not 1 <= count <= NUM_USED:
+    if count is not None:
+        check_count(count, 1, "trials")
+    if count is not None and count > NUM_USED:
         raise InputError(f"trials is {count}; give 1 to {NUM_USED}")
     everything = [
         Repetition(mode, configuration, trial, movement)
@@ -280,8 +282,8 @@ def write_campaign(
         The study file.
 
     Raises:
-        InputError: unknown disturbance, kind of files or truth, negative
-            seed, an impossible number of trials, a design of another
+        InputError: unknown disturbance, kind of files or truth, a seed or
+            number of trials or processes that cannot be, a design of another
             device, or a folder that holds a study already.
 
     >>> import tempfile
@@ -289,29 +291,33 @@ def write_campaign(
     ...     write_campaign(folder, seed=1, trials=1).name
     'study.yaml'
     """
+    folder = path_of(folder, "folder")
     movements = protocol(trials, full)
+    check_count(seed, 0, "seed")
+    check_count(processes, 1, "processes")
+    if design is not None:
+        check_type(design, Design, "design")
     if assisted:
         movements = [m for m in movements if m.mode == "assisted"]
-    if seed < 0:
-        raise InputError(f"seed is {seed}; give a number from 0 on")
-    if processes < 1:
-        raise InputError(f"processes is {processes}; give 1 or more")
     if truth not in KINDS:
         raise InputError(f"truth is {truth!r}; give one of {', '.join(KINDS)}")
-    if (Path(folder) / "study.yaml").exists():
+    if (folder / "study.yaml").exists():
         raise InputError(
             f"{folder}: holds a study already; choose another folder"
         )
     active = checked(disturbances) - (set() if truth == "wide" else set(WIDE))
-    job = Campaign(Path(folder), seed, active, files, truth, design)
+    job = Campaign(folder, seed, active, files, truth, design)
     progress = Progress(
         "virtual laboratory", len(movements), interval_seconds=2.0
     )
     mats = job.prepare(progress)
-    entries = _recorded(job, movements, processes, progress)
-    path = Path(folder) / "study.yaml"
+    entries = job.record_all(
+        {m.name: m for m in movements}, processes, progress
+    )
+    used = [entries[m.name] for m in movements if m.is_used]
+    path = folder / "study.yaml"
     title = "A virtual subject in the exoskeleton stands up."
-    write_yaml(path, title, job.study(mats, entries))
+    write_yaml(path, title, job.study(mats, used))
     return path
 
 
@@ -345,29 +351,8 @@ def read_about(folder: str | Path) -> dict:
         raise InputError(f"{path}: is damaged; {remedy}") from error
 
 
-def _recorded(job, movements, processes, progress) -> list[dict]:
-    """Record all movements; what the study is to say of those in use."""
-    entries: dict[str, dict] = {}
-    if processes == 1:
-        for done, movement in enumerate(movements):
-            entries[movement.name] = job.record(movement, progress, done)
-    else:
-
-        def end(row: Ended) -> None:
-            entries[row.name] = row.result()
-            progress.update(row.name, len(entries))
-
-        jobs = [
-            Job(m.name, f"{__name__}:record", {"job": job, "movement": m})
-            for m in movements
-        ]
-        with Processes(processes) as pool:
-            run_jobs(jobs, pool, end)
-    return [entries[m.name] for m in movements if m.is_used]
-
-
-def record(job: "Campaign", movement: Repetition) -> dict:
-    """`Campaign.record` in another process."""
+def record(job: "Session", movement) -> dict:
+    """`Session.record` in another process."""
     return job.record(movement)
 
 
@@ -476,6 +461,34 @@ class Session:
             "scaling": {"lengths": "markers", "trunk_com": "table"},
             "markers": study_markers(),
         }
+
+    def record_all(
+        self, movements: Mapping, processes: int, progress: Progress
+    ) -> dict[str, dict]:
+        """Name -> what the study says of each movement, which `record` takes.
+
+        Args:
+            movements: by name.
+            processes: that work at once.
+            progress: told of every movement.
+        """
+        entries: dict[str, dict] = {}
+        if processes == 1:
+            for name, movement in movements.items():
+                entries[name] = self.record(movement, progress, len(entries))
+            return entries
+
+        def end(row: Ended) -> None:
+            entries[row.name] = row.result()
+            progress.update(row.name, len(entries))
+
+        jobs = [
+            Job(name, f"{__name__}:record", {"job": self, "movement": movement})
+            for name, movement in movements.items()
+        ]
+        with Processes(processes) as pool:
+            run_jobs(jobs, pool, end)
+        return {name: entries[name] for name in movements}
 
     def varied(self, vary: Callable, plan, *key: int):
         """A plan as it is done this time: `vary` has random numbers by key."""

@@ -35,7 +35,7 @@ from drake_exo.contact.parameters import (
     GroundContact,
     nominal_contact,
 )
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_count, path_of
 from drake_exo.files import schema
 from drake_exo.files.output import Progress
 from drake_exo.measurement.events import contacts
@@ -108,6 +108,7 @@ def write_movements(
     *,
     left_share: float = 0.5,
     files: str = "c3d",
+    processes: int = 1,
 ) -> Path:
     """Simulate a described subject, and write what a laboratory would.
 
@@ -122,6 +123,7 @@ def write_movements(
         trials: how many.
         left_share: of the ground's force that the left leg bears.
         files: "c3d" or "opensim".
+        processes: that work at once; has no influence on the result.
 
     Returns:
         The study file.
@@ -131,7 +133,8 @@ def write_movements(
             rigid feet; an unknown movement, disturbance or kind of files, a
             share that tips the body over.
     """
-    folder = Path(folder)
+    folder = path_of(folder, "folder")
+    description = path_of(description, "description")
     if movement not in MOVEMENTS:
         raise InputError(
             f"movement is {movement!r}; the virtual laboratory has "
@@ -147,22 +150,27 @@ def write_movements(
             f"left_share (--left-share) is {left_share:g}; give 0.1 to 0.9, as "
             "both feet stand"
         )
-    if trials < 1 or seed < 0:
-        raise InputError("give at least one trial, and a seed from 0 on")
+    for what, value, least in (
+        ("trials", trials, 1),
+        ("seed", seed, 0),
+        ("processes", processes, 1),
+    ):
+        check_count(value, least, what)
     active = checked(disturbances) & frozenset(ACTING)
     job = TwoLegs(
-        folder, Path(description), movement, seed, active, left_share, files
+        folder, description, movement, seed, active, left_share, files
     )
     device = job.description.get("device")
     if device is not None:  # its file beside the study, which names it
-        source = Path(description).parent / device["file"]
+        source = description.parent / device["file"]
         shutil.copyfile(source, folder / source.name)
         device["file"] = source.name
     progress = Progress("virtual laboratory", trials, interval_seconds=2.0)
     mats = job.prepare(progress)
-    entries = [job.record(number, progress) for number in range(trials)]
+    names = {f"{movement}_{k + 1}": k for k in range(trials)}
+    entries = job.record_all(names, processes, progress)
     path = folder / "study.yaml"
-    study = job.study(mats, entries)
+    study = job.study(mats, list(entries.values()))
     write_yaml(path, f"A virtual subject of two legs: {movement}.", study)
     return path
 
@@ -288,16 +296,22 @@ class TwoLegs(Session):
         torque = inverse_dynamics(tree, q, v, a, loads)[:, names.joint_columns]
         return Reference(plan.times, q, v, torque, ground, plan.seat)
 
-    def record(self, number: int, progress: Progress | None = None) -> dict:
+    def record(
+        self,
+        number: int,
+        progress: Progress | None = None,
+        done: int | None = None,
+    ) -> dict:
         """Simulate a trial, write its files; what the study says of it.
 
         Args:
             number: of trials before.
             progress: told of every step.
+            done: movements simulated before.
         """
         name, laboratory = f"{self.movement}_{number + 1}", self.laboratory
         act = self._walks if self.movement == "walk" else self._stands
-        happened, (start, end) = act(name, number, progress)
+        happened, (start, end) = act(name, number, progress, done)
         self.measure(happened, self.rng(4, number), self.mats)
         used = {"name": name, **laboratory.motion_files(name)}
         if self.truth.model.coordinates.device:
@@ -313,7 +327,7 @@ class TwoLegs(Session):
             "end_s": end,
         }
 
-    def _stands(self, name, number, progress) -> tuple[Trial, tuple]:
+    def _stands(self, name, number, progress, done) -> tuple[Trial, tuple]:
         """A rise or squat, and the part of it that is used."""
         planner, seat = self.planner, None
         rises = self.movement == "rise"
@@ -326,7 +340,7 @@ class TwoLegs(Session):
             motion = planner.squat(plan)
         motion = self.both_legs(motion, self.left_share)
         happened = simulate(
-            name, self.truth, motion, seat, progress=progress, done=number
+            name, self.truth, motion, seat, progress=progress, done=done
         )
         end = plan.duration - plan.stand_s + _QUIET_S
         begin = plan.quiet_s - _QUIET_S
@@ -334,7 +348,7 @@ class TwoLegs(Session):
             begin = after_chair(happened, happened.chair.force_z)
         return happened, to_frames(begin, end)
 
-    def _walks(self, name, number, progress) -> tuple[Trial, tuple]:
+    def _walks(self, name, number, progress, done) -> tuple[Trial, tuple]:
         """A walk, of which a cycle is used; legs share as they like."""
         truth, names = self.truth, self.truth.model.coordinates
         plan = self.varied(vary_walk, WalkPlan(), number)
@@ -345,7 +359,7 @@ class TwoLegs(Session):
             truth,
             motion,
             progress=progress,
-            done=number,
+            done=done,
             walker=WalkingController(names, motion, rigid.tree.weight),
         )
         # In the air, where a filter smears nothing in, and a cycle later.

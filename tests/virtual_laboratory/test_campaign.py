@@ -265,15 +265,21 @@ def test_protocol_is_that_of_the_paper():
     [
         ({"disturbances": ["marker_nois"]}, "marker_noise"),
         ({"disturbances": "gaps"}, "disturbances: 'gaps' is no list of names"),
-        ({"seed": -1}, "seed is -1"),
+        ({"seed": -1}, "seed is -1; give a whole number from 0 on"),
+        ({"seed": "x"}, "seed is 'x'; give a whole number from 0 on"),
+        ({"seed": 1.5}, "seed is 1.5; give a whole number"),
         ({"trials": 0}, "trials is 0"),
+        ({"trials": "x"}, "trials is 'x'"),
+        ({"processes": None}, "processes is None"),
+        ({"design": "designed"}, "design is 'designed'; give a Design"),
+        ({"folder": 5}, "folder is 5; give a path"),
         ({"trials": 10}, "1 to 9"),
         ({"files": "mat"}, "c3d, opensim"),
     ],
 )
 def test_bad_requests_are_refused(tmp_path, arguments, message):
     with pytest.raises(InputError, match=message):
-        write_campaign(tmp_path, **{"seed": 0, **arguments})
+        write_campaign(**{"folder": tmp_path, "seed": 0, **arguments})
     assert not list(tmp_path.iterdir())
 
 

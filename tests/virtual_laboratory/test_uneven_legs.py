@@ -23,6 +23,7 @@ from drake_exo.cli import main
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
+from drake_exo.jobs.engine import Processes
 from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.mats import cell_directions
 from drake_exo.measurement.sagittal import PlanarWrench
@@ -208,6 +209,29 @@ def test_a_squat_in_a_device_is_recorded(worn, tmp_path):
     assert all(check.holds for check in study.plausibility())
 
 
+@pytest.mark.slow
+def test_trials_at_once_are_those_one_after_another(
+    worn, tmp_path, monkeypatch
+):
+    """By the command, and to the byte."""
+    asked = []
+    monkeypatch.setattr(
+        campaign,
+        "Processes",
+        lambda count: asked.append(count) or Processes(count),
+    )
+    found = []
+    for jobs in ("1", "2"):
+        out = tmp_path / jobs
+        command = ["lab", "--model", str(worn), "--movement", "squat"]
+        command += ["--trials", "2", "--jobs", jobs, "--out", str(out)]
+        assert main(command) == 0
+        found.append(
+            {p.name: p.read_bytes() for p in out.rglob("*") if p.is_file()}
+        )
+    assert found[0] == found[1] and asked == [2]
+
+
 def test_what_cannot_be_simulated_is_refused(alone, tmp_path, capsys):
     one = tmp_path / "one.yaml"
     one.write_text("human: {legs: one}\n")
@@ -216,7 +240,9 @@ def test_what_cannot_be_simulated_is_refused(alone, tmp_path, capsys):
         (alone, {"left_share": 0.95}, "give 0.1 to 0.9"),
         (alone, {"movement": "jump"}, "has rise, squat, walk"),
         (alone, {"movement": "walk", "left_share": 0.6}, "leave it out for"),
-        (alone, {"trials": 0}, "at least one trial"),
+        (alone, {"trials": 0}, "trials is 0; give a whole number from 1 on"),
+        (alone, {"seed": "x"}, "seed is 'x'; give a whole number from 0 on"),
+        (5, {}, "description is 5; give a path"),
         (alone, {"files": "mat"}, "files is 'mat'; give one of c3d, opensim"),
         (alone, {"disturbances": ["gremlins"]}, "there is no 'gremlins'"),
         (tmp_path / "none.yaml", {}, "cannot be read"),
@@ -311,7 +337,7 @@ def used_part(monkeypatch, movement, happened):
     )
     subject.both_legs = lambda plan, share: plan
     monkeypatch.setattr(two_legs, "simulate", lambda *_, **__: happened)
-    return subject._stands(f"{movement}_1", 0, None)[1]
+    return subject._stands(f"{movement}_1", 0, None, None)[1]
 
 
 def test_the_used_part_of_a_squat_begins_and_ends_at_rest(monkeypatch):
@@ -349,7 +375,7 @@ def test_the_used_part_of_a_walk_is_a_cycle(monkeypatch, alone):
     )
     monkeypatch.setattr(two_legs, "plan_walk", lambda *_: walk)
     monkeypatch.setattr(two_legs, "simulate", lambda *_, **__: happened)
-    _, at = subject._walks("walk_1", 0, None)
+    _, at = subject._walks("walk_1", 0, None, None)
     assert at == pytest.approx([0.62 + 0.05, 1.72 + 0.05])
 
 
