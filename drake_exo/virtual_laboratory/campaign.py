@@ -233,10 +233,9 @@ def protocol(count: int | None = None, full: bool = False) -> list[Repetition]:
     Raises:
         InputError: a count that is not from one to nine.
     """
-    if count is not None:
-        check_count(count, 1, "trials")
-    if count is not None and count > NUM_USED:
-        raise InputError(f"trials is {count}; give 1 to {NUM_USED}")
+    count = NUM_USED if count is None else count
+    if count not in range(1, NUM_USED + 1):
+        raise InputError(f"trials is {count!r:.60}; give 1 to {NUM_USED}")
     everything = [
         Repetition(mode, configuration, trial, movement)
         for mode in _MODES
@@ -244,7 +243,7 @@ def protocol(count: int | None = None, full: bool = False) -> list[Repetition]:
         for trial in range(1, _TRIALS + 1)
         for movement in range(1, _MOVEMENTS + 1)
     ]
-    used = [m for m in everything if m.is_used][:count]
+    used = [m for m in everything if m.is_used][: int(count)]
     rest = [m for m in everything if not m.is_used]
     return used + rest if full else used
 
