@@ -117,7 +117,7 @@ def read_cells(
         # meshio would look for the end of a .ply's header for ever.
         if start.startswith(b"ply") and b"end_header" not in start:
             raise ValueError("its header does not end")
-        if re.match(rb"\$MeshFormat\s+2\S*\s+0\s", start):
+        if re.search(rb"^\$MeshFormat\s+2\S*\s+0\s", start, re.MULTILINE):
             _check_gmsh(start)
         with _quiet():
             raw = read(path)
