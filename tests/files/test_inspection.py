@@ -124,7 +124,7 @@ def test_csv_of_signals_and_of_pressure(tmp_path):
     (tmp_path / "a.csv").write_text("time [s];exo_knee [deg]\n0,0;1\n0,1;2\n")
     with pytest.raises(InputError, match="semicolons separate the columns"):
         inspect(tmp_path / "a.csv")
-    rows = ["row,column,x,y,z", "1,1,20.5,75,703", "1,2,21,75,717"]
+    rows = ["Row,Column,X,Y,Z", "1,1,20.5,75,703", "1,2,21,75,717"]
     (tmp_path / "cells.csv").write_text("\n".join(rows) + "\n")
     found = text(tmp_path / "cells.csv")
     assert "1 by 2 cells of a mat, in the scan's unit" in found
