@@ -105,7 +105,8 @@ def check_count(value: object, least: int, what: str) -> None:
     Raises:
         InputError: naming the argument.
     """
-    if not isinstance(value, Integral) or value < least:
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not whole or value < least:
         raise InputError(
             f"{what} is {value!r:.60}; give a whole number from {least} on"
         )
