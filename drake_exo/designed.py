@@ -43,6 +43,7 @@ from drake_exo.contact.strap import (
     device_sdf,
     write_design,
 )
+from drake_exo.errors import path_of
 from drake_exo.files.output import (
     SOLVED,
     Check,
@@ -723,7 +724,7 @@ class Designed:
         """Table, figure, design.yaml and summary.json into a folder."""
         from drake_exo.report.figures import DESIGN_FIGURES
 
-        folder = Path(folder)
+        folder = path_of(folder, "folder")
         folder.mkdir(parents=True, exist_ok=True)
         verdict = self.verdict(accepted)
         if self.success:

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drake_exo import read_contact, read_design, read_study
+from drake_exo import Trial, read_contact, read_design, read_study, soles
 from drake_exo.errors import (
     InputError,
     check_bounds,
@@ -39,7 +39,17 @@ def test_what_is_no_path_is_refused(value):
         path_of(value, "folder")
 
 
-@pytest.mark.parametrize("read", [read_study, read_contact, read_design])
+@pytest.mark.parametrize(
+    "read",
+    [
+        read_study,
+        read_contact,
+        read_design,
+        soles.Case.read,
+        soles.find_designs,
+        Trial.load,
+    ],
+)
 def test_readers_refuse_numbers_for_paths(read):
     with pytest.raises(InputError, match="is 5; give a path"):
         read(5)

@@ -20,7 +20,7 @@ from drake_exo.contact.parameters import (
     ContactSphere,
     GroundContact,
 )
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, path_of
 from drake_exo.files import schema
 from drake_exo.files.output import write_csv
 from drake_exo.model.assembly import Person
@@ -291,7 +291,7 @@ class Reduction:
         Raises:
             InputError: one sphere alone; it cannot be written.
         """
-        path, text = Path(path), schema.dump_text(self.law)
+        path, text = path_of(path, "path"), schema.dump_text(self.law)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from drake_exo.errors import InputError, check_bounds, check_type
+from drake_exo.errors import InputError, check_bounds, check_type, path_of
 from drake_exo.files.output import read_arrays, read_json, write_json
 from drake_exo.measurement.sagittal import PlanarWrench, fixed
 from drake_exo.model.coordinates import Coordinates
@@ -328,7 +328,7 @@ class Trial:
 
     def save(self, path: str | Path) -> None:
         """Write `path`.npz (numbers) and `path`.json (the rest)."""
-        path = Path(path)
+        path = path_of(path, "path")
         np.savez(
             path.with_name(path.name + ".npz"),
             times=self.times,
@@ -356,7 +356,7 @@ class Trial:
         Raises:
             InputError: one of the files is missing or damaged.
         """
-        path = Path(path)
+        path = path_of(path, "path")
         again = "run what wrote it again"
         arrays = read_arrays(path.with_name(path.name + ".npz"), again)
         rest = read_json(path.with_name(path.name + ".json"), again)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, path_of
 from drake_exo.files.output import (
     SOLVED,
     Check,
@@ -674,7 +674,7 @@ class Step:
             accepted: Names of checks that the user accepts.
         """
         began, verdict = time.perf_counter(), self.verdict(accepted)
-        folder = Path(folder)
+        folder = path_of(folder, "folder")
         folder.mkdir(parents=True, exist_ok=True)
         numbers = self.summary() | verdict.summary()
         numbers["complementarity"] = self.complementarity()

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drake_exo.errors import path_of
 from drake_exo.files.output import (
     Check,
     Verdict,
@@ -363,7 +364,7 @@ class Design:
             say: Called with one line of progress now and then.
             accepted: Names of checks that the user accepts.
         """
-        folder, began = Path(folder), time.perf_counter()
+        folder, began = path_of(folder, "folder"), time.perf_counter()
         folder.mkdir(parents=True, exist_ok=True)
         row, finer = self.summary(), self.check_finer()
         verdict = self.verdict(accepted, finer)

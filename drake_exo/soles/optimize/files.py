@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, path_of
 from drake_exo.files import schema
 from drake_exo.files.output import read_arrays, read_json, write_json
 from drake_exo.soles.contact.law import FLAT, Ground
@@ -297,7 +297,7 @@ def find_designs(folder: Path | str) -> list[StoredDesign]:
     Raises:
         InputError: There is none.
     """
-    folder = Path(folder)
+    folder = path_of(folder, "folder")
     if (folder / CASE).is_file():
         return [read_design(folder)]
     names = []
