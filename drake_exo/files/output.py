@@ -385,7 +385,7 @@ def read_arrays(path: str | Path, remedy: str) -> dict[str, np.ndarray]:
     try:
         with zipfile.ZipFile(whole) as parts:
             size = sum(part.file_size for part in parts.infolist())
-    except zipfile.BadZipFile as error:
+    except Exception as error:  # whatever damage makes of a zip
         raise InputError(f"{path}: is damaged; {remedy}") from error
     if size > _LARGEST_ARRAYS:
         raise InputError(
@@ -396,7 +396,7 @@ def read_arrays(path: str | Path, remedy: str) -> dict[str, np.ndarray]:
     try:
         with np.load(whole, allow_pickle=False) as data:
             return {name: data[name] for name in data.files}
-    except Exception as error:  # whatever damage makes of zip and array
+    except Exception as error:  # and of an array
         raise InputError(f"{path}: is damaged; {remedy}") from error
 
 

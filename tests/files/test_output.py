@@ -238,6 +238,16 @@ def test_arrays_that_unpack_to_too_much_are_refused(tmp_path, monkeypatch):
         read_arrays(path, "again")
 
 
+def test_arrays_of_another_version_of_zip_are_damaged(tmp_path):
+    path = tmp_path / "a.npz"
+    np.savez(path, x=np.zeros(3))
+    data = bytearray(path.read_bytes())
+    data[data.index(b"PK\x01\x02") + 6] = 173  # of 17.3, which there is not
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"a\.npz: is damaged; again"):
+        read_arrays(path, "again")
+
+
 def test_contents_that_differ_beyond_six_digits_are_the_same():
     """Sixteen hexadecimal digits; zero has no sign; order does not count."""
     one = checksum({"a": [1.0, -0.0], "b": {"c": 2.5}})
