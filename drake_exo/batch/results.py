@@ -151,13 +151,16 @@ def rows_of(batch: Batch) -> list[Row]:
 def _numbers(out: Path, task: Task) -> Iterator[tuple[str, str, float, str]]:
     """(trial, signal, value, unit) of a task's results."""
     folder = out / task.name
-    if (folder / "quality.json").is_file():
-        yield from _quality(read_json(folder / "quality.json", _AGAIN))
-    if (folder / "summary.json").is_file():
-        summary = read_json(folder / "summary.json", _AGAIN)
-        if not isinstance(summary, dict):
-            raise InputError(f"{folder}: summary.json is damaged; {_AGAIN}")
-        yield from _summary(summary)
+    for name, told in (("quality.json", _quality), ("summary.json", _summary)):
+        if (folder / name).is_file():
+            found = read_json(folder / name, _AGAIN)
+            try:
+                rows = list(told(found))
+            except (AttributeError, LookupError, TypeError) as error:
+                raise InputError(
+                    f"{folder}: {name} is damaged; {_AGAIN}"
+                ) from error
+            yield from rows
 
 
 def _quality(found: dict) -> Iterator[tuple]:

@@ -31,6 +31,7 @@ from drake_exo.batch.results import (
 )
 from drake_exo.batch.run import Batch, outcome
 from drake_exo.cli.batch import text_of
+from drake_exo.errors import InputError
 from drake_exo.files.output import write_json
 
 SUMMARY = {
@@ -93,6 +94,21 @@ def test_rows(batch):
     assert bert[0].verdict == "does not hold: audit: off <b>by</b> 3 N"
     (carl,) = (r for r in rows if r.subject == "carl")
     assert carl.value is None and "mend it" in carl.verdict
+
+
+@pytest.mark.parametrize(
+    ("name", "tree"),
+    [
+        ("quality.json", {"trials": 3}),
+        ("summary.json", 3),
+        ("summary.json", SUMMARY | {"parameters": [{"name": "heel.x"}]}),
+        ("summary.json", SUMMARY | {"parameters": [True]}),
+    ],
+)
+def test_results_of_another_form_are_damaged(batch, name, tree):
+    write_json(batch.out / "bert" / "calibrate" / name, tree)
+    with pytest.raises(InputError, match=f"bert/calibrate: {name} is damaged"):
+        rows_of(batch)
 
 
 @pytest.mark.parametrize(
