@@ -458,7 +458,7 @@ class Worker:
         except (EOFError, pickle.UnpicklingError):
             return self._died(job)
         if answer["state"] == "memory":
-            answer["error"] = self._too_large(job)
+            answer["error"] = self._too_large()
         return Ended(job.name, attempts=self.attempt, **answer)
 
     def _died(self, job: Job) -> Ended | None:
@@ -472,7 +472,7 @@ class Worker:
         seconds = time.monotonic() - self.since
         how = {"seconds": seconds, "attempts": self.attempt}
         if self.memory_mb is not None and any(w in said for w in _NO_MEMORY):
-            return Ended(job.name, "memory", error=self._too_large(job), **how)
+            return Ended(job.name, "memory", error=self._too_large(), **how)
         if self.attempt < ATTEMPTS:
             return None
         word = signal.Signals(-code).name if code < 0 else f"code {code}"
@@ -493,7 +493,7 @@ class Worker:
             self._process.stdin.close()
         self._process.stdout.close()
 
-    def _too_large(self, job: Job) -> str:
+    def _too_large(self) -> str:
         if self.memory_mb is None:
             return "needs more memory than there is; use fewer workers"
         return (
