@@ -191,6 +191,7 @@ def _check(path: Path, summary: dict[str, Any]) -> None:
     rows = summary.get("rmsd")
     usual = summary.get("rmsd_uncalibrated", [])
     solves = summary.get("solves", [])
+    parameters = summary.get("parameters", [])
     whole = (
         isinstance(rows, list)
         and isinstance(usual, list)
@@ -208,11 +209,13 @@ def _check(path: Path, summary: dict[str, Any]) -> None:
         and all(isinstance(r.get("trial"), str) for r in rows)
         and isinstance(summary.get("measured_sd"), dict)
         and _are_scores(summary["measured_sd"])
+        and isinstance(parameters, list)
+        and all(map(_is_parameter, parameters))
     )
     if not whole:
         raise InputError(
             f"{path}: is not as a phase writes it (subject, rmsd, "
-            "measured_sd); run the command that wrote it again"
+            "measured_sd, parameters); run the command that wrote it again"
         )
 
 
@@ -222,6 +225,16 @@ def _is_objective(summary: dict[str, Any]) -> bool:
     if summary["phase"] == "prediction":
         return isinstance(found, str | None)
     return found is None or _is_number(found)
+
+
+def _is_parameter(row: Any) -> bool:
+    return (
+        isinstance(row, dict)
+        and isinstance(row.get("name"), str)
+        and isinstance(row.get("unit"), str)
+        and _is_number(row.get("value"))
+        and _are_scores(row.get("half_width_95"))
+    )
 
 
 def _are_scores(value: Any) -> bool:

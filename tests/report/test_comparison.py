@@ -106,6 +106,14 @@ def test_side_by_side(folders, trials):
     assert ours == [f"{p:.2f}" for p in peaks]
 
 
+@pytest.mark.parametrize("row", [True, {"name": "heel.x", "unit": "m"}])
+def test_damaged_parameters_are_one_sentence(tmp_path, trials, row):
+    sound = leave(tmp_path / "a", trials[:1], 5.0)
+    damaged = leave(tmp_path / "b", trials[:1], 5.0, parameters=[row])
+    with pytest.raises(InputError, match=r"measured_sd, parameters\); run"):
+        compare([sound, damaged])
+
+
 def test_model_contact_and_filter_count_among_settings(tmp_path, trials):
     filtered = [
         replace(t, provenance={"filter": {"cutoff_hz": 8.0}}) for t in trials
