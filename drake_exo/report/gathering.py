@@ -25,6 +25,7 @@ from drake_exo.files.output import (
     summaries,
 )
 from drake_exo.measurement.trial import Trial
+from drake_exo.model.assembly import without_side
 
 _LARGEST = 1e30  # of a score
 _PHASES = ("foot-ground", "interaction", "prediction")
@@ -585,9 +586,13 @@ def rmsd_signals(rmsd: list[dict]):
             yield label.format(name), (key, name)
 
 
-def place(name: str) -> int:
-    """Where a coordinate, component or segment stands in a table."""
-    return _ORDER.index(name) if name in _ORDER else len(_ORDER)
+def place(name: str) -> tuple[int, str]:
+    """Where a coordinate, component or segment stands in a table.
+
+    Left beside right; others last, by name: files keep no order of their own.
+    """
+    both = without_side(name.replace(" ", "_"))
+    return _ORDER.index(both) if both in _ORDER else len(_ORDER), name
 
 
 def lookup(tree, path) -> float | None:

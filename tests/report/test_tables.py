@@ -81,6 +81,20 @@ def test_signals_stand_in_the_papers_order():
     assert found == ["ankle", "hip", "exo_ankle", "pelvis", "thigh", "other"]
 
 
+def test_legs_stand_side_by_side_in_one_order_before_and_after_a_file():
+    names = ["hip_left", "knee_left", "toes_left", "ankle_left", "ankle_right"]
+    of = {
+        "angles_deg": dict.fromkeys(names, 1.0),
+        "grf_n": {"vertical left": 1.0, "horizontal right": 1.0},
+    }
+    kept = {key: dict(sorted(part.items())) for key, part in of.items()}
+    for rows in ([of], [kept]):
+        assert [path[1] for _, path in gathering.rmsd_signals(rows)] == [
+            *("ankle_left", "ankle_right", "knee_left", "hip_left"),
+            *("toes_left", "horizontal right", "vertical left"),
+        ]
+
+
 def test_mean_and_sd_leave_out_what_is_missing():
     assert gathering.mean_and_sd([]) == (None, None)
     assert gathering.mean_and_sd([None, 3.0]) == (3.0, None)
