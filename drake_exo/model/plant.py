@@ -238,12 +238,16 @@ class Model:
         found: dict[str, dict[str, tuple[float, float]]] = {}
         for body, spheres in self.assembly.spheres.items():
             for name, place in spheres.items():
-                place = place or usual.get(body, {}).get(without_side(name))
+                either = without_side(name)
+                place = place or usual.get(body, {}).get(either)
                 if place is None:
                     known = ", ".join(usual.get(body, {})) or "none"
+                    own = " or ".join(b for b in usual if either in usual[b])
                     raise InputError(
                         f"ground: {name!r} has no usual place on {body} "
-                        f"(there are {known}); give {name}: [x, z] in m"
+                        f"(there are {known}); "
+                        + (f"name it on {own}, or " if own else "")
+                        + f"give {name}: [x, z] in m"
                     )
                 found.setdefault(body, {})[name] = place
         return found

@@ -662,7 +662,14 @@ def test_descriptions_that_cannot_be_are_refused(text, words):
             replace(ANKLE, device=replace(ANKLE.device, weld={"sho": "foot"})),
             "has no link 'sho'",
         ),
-        (Assembly(ground={"foot": ("heel", "big_toe")}), "'big_toe' has no us"),
+        (
+            Assembly(ground={"foot": ("heel", "big_toe")}),
+            r"'big_toe' has no .* toe\); give big_toe: \[x, z\] in m$",
+        ),
+        (  # of a foot whose toes are a segment of their own
+            Assembly(Person(toes="hinged"), ground={"foot": ("heel", "toe")}),
+            r"ball\); name it on toes, or give toe: \[x, z\] in m$",
+        ),
         (
             replace(ANKLE, cuffs={"f": CuffLinks("foot", "calf")}),
             "cuff 'f' has no usual place on foot",
