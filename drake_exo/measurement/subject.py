@@ -82,7 +82,8 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     """Scale the model to the subject and the standing trial.
 
     Raises:
-        InputError: unreadable or unsuitable standing trial, or no body mass.
+        InputError: unreadable or unsuitable standing trial, no body mass, or
+            a sphere or cuff without a place.
     """
     if isinstance(settings.model, Assembly):
         settings = replace(settings, model=with_text(settings.model, root))
@@ -159,6 +160,7 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     model = _with_device(settings, human)
     if settings.device is not None:
         settings.device.check(model.coordinates)
+    _ = model.spheres, model.cuffs  # one without a place is refused here
     q = coordinates(model, markers, poses)
     report["standing_angles_deg"] = np.rad2deg(q[0, 2:])
     if settings.scaling.trunk_com == "standing":

@@ -164,6 +164,12 @@ def test_refuses_unknown_mats_and_keys(folder, capsys):
     assert "did you mean 'pressure'" in refusal(folder, capsys)
 
 
+def test_refuses_a_sphere_without_a_place(folder, capsys):
+    """As `calibrate` would, not after it was told that the study holds."""
+    edit(folder, "model: coupled", "model: {ground: {foot: [heel, arch]}}")
+    assert "'arch' has no usual place on foot" in refusal(folder, capsys)
+
+
 def test_the_real_study_passes(data_root, request, capsys):
     study = request.path.parents[1] / "studies" / "opencap_sts1.yaml"
     assert main(["check", str(study), "--data-root", str(data_root)]) == 0
