@@ -212,7 +212,10 @@ def _gaps(time: np.ndarray, unseen: np.ndarray) -> str:
     found = runs(unseen)
     if not found:
         return ""
-    told = [f"{time[a]:g} to {time[b - 1]:g}" for a, b in found[:_TOLD]]
+    told = [
+        f"{time[a]:g}" + (f" to {time[b - 1]:g}" if b - a > 1 else "")
+        for a, b in found[:_TOLD]
+    ]
     more = ", ..." if len(found) > _TOLD else ""
     frames = _counted(unseen.sum(), "frame")
     return f"; not seen in {frames}: {', '.join(told)}{more} s"

@@ -46,6 +46,12 @@ def test_markers_and_their_gaps(tmp_path, markers):
     assert "0.5 to 0.59, 1.97 to 1.99 s" in found
 
 
+def test_a_gap_of_one_frame_is_one_time(tmp_path, markers):
+    markers.positions[7, 0] = np.nan
+    write_trc(tmp_path / "a.trc", markers)
+    assert "m; not seen in 1 frame: 0.07 s\n" in text(tmp_path / "a.trc")
+
+
 def test_hidden_markers_as_zeros_are_pointed_at(tmp_path, markers):
     markers.positions[:5, 0] = 0.0
     write_trc(tmp_path / "a.trc", markers)
