@@ -169,7 +169,8 @@ def write_predictions(
 ) -> int:
     """Every trial for prediction into a folder; returns the exit code.
 
-    `usual` is what to compare with, by default nominal cuffs.
+    `usual` is what to compare with, by default nominal cuffs; given of a
+    design, in whose device nothing was measured.
     """
     trials = study.trials("prediction")
     of = inputs(
@@ -183,6 +184,7 @@ def write_predictions(
     done = finished(out, of) if resume else None
     if done is not None:
         return done.exit_code
+    designed = usual is not None
     usual = usual or uncalibrated(study.model, contact)
     how = {"scale_interaction": scale_interaction, "controller": controller}
     found: list[Prediction] = []
@@ -266,7 +268,7 @@ def write_predictions(
     summary["audit"] = [audit.summary() for audit in audits]
     summary["clocks"] = [c.summary() for p in found for c in p.clocks]
     if good:
-        _write(out, good, bands, summary, verdict)
+        _write(out, good, bands, summary, verdict, designed)
         print(audit_table(summary["audit"]))
     if summary["clocks"]:
         print(clocks_table(summary["clocks"]))
@@ -363,7 +365,12 @@ def _summary(
 
 
 def _write(
-    out: Path, good: list[tuple], bands, summary: dict, verdict: Verdict
+    out: Path,
+    good: list[tuple],
+    bands,
+    summary: dict,
+    verdict: Verdict,
+    designed: bool,
 ) -> None:
     """Trajectories, tables and figures of the trials that were solved."""
     for prediction, usual, _ in good:
@@ -378,6 +385,11 @@ def _write(
         text += f"\n\nthe same with uncalibrated cuffs{left}\n"
         text += rmsd_table(usual)
     text += f"\nmovements start from {summary['starts_from']}"
+    if designed:
+        text += (
+            "\nmeasured in the device of today: what the design changes is "
+            "in these differences, too"
+        )
     write_text(out / "rmsd.txt", text, verdict.mark)
     print(text)
     rows = [

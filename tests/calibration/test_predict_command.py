@@ -208,6 +208,24 @@ def test_what_is_solved_is_written_before_another_trial_is_refused(
     assert [row["trial"] for row in summary["rmsd"]] == ["rise1"]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("designed", [False, True])
+def test_differences_from_another_device_say_so(
+    designed, tmp_path, monkeypatch, capsys
+):
+    made = synthetic.rises_in_device(1, nodes_per_second=20)
+    settings = PredictionSettings(solver=Solver(10.0))
+    study = Study(made.model, made.trials, prediction=settings)
+    audit = Audit("rise1", 0.0, 0.0, (0.0, 0.0), 0.0)
+    monkeypatch.setattr(Prediction, "audit", lambda found: audit)
+    usual = made.contact if designed else None
+    with undrawn():
+        write_predictions(study, made.contact, tmp_path, usual=usual)
+    for text in ((tmp_path / "rmsd.txt").read_text(), capsys.readouterr().out):
+        assert "movements start from" in text
+        assert ("measured in the device of today" in text) == designed
+
+
 def test_movements_start_from_a_chair_only_where_it_bears():
     """An empty plate may lie under the seat."""
     model, (trial,) = synthetic.rises_on_spheres(1, nodes_per_second=20)
