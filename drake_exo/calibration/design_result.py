@@ -137,7 +137,9 @@ class DesignResult:
         }
         fixed = {v.name: index[v.name] for v in problem.design if not v.free}
         free = [i for n, i in index.items() if n not in fixed]
-        border = program.unknowns.column_of(np.array(sorted(free), int))
+        built = problem.program.indices(np.concatenate(problem.built))
+        touching = np.array(sorted([*free, *built]), int)
+        border = program.unknowns.column_of(touching)
         optimum = Optimum(program, y, border)
         slopes = optimum.cost_by_fixed(np.array(list(fixed.values()), int))
         return dict(zip(fixed, map(float, slopes), strict=True))

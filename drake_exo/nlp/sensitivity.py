@@ -74,8 +74,9 @@ class Optimum:
     Args:
         problem: that y solves.
         y: (num_unknowns,).
-        border: unknowns that touch everything; without them the system is
-            banded in time, and they follow from the Schur complement.
+        border: unknowns that touch everything; without them, and equations
+            among them alone, the system is banded in time, and they follow
+            from the Schur complement.
         without: part (num_unknowns, num_unknowns) of the cost's curvature
             that is not to count.
 
@@ -115,7 +116,11 @@ class Optimum:
             ],
             format="csc",
         )
-        index = self._index = np.flatnonzero(np.isin(free, border))
+        inside = np.isin(free, border)
+        outside = np.diff(A[:, ~inside].indptr)
+        alone = (outside == 0) & (np.diff(A.indptr) > 0)
+        alone &= not inside.all()  # something is left to factorise
+        index = self._index = np.flatnonzero(np.r_[inside, alone])
         rest = self._rest = np.setdiff1d(np.arange(K.shape[0]), index)
         inner = K[rest][:, rest].tocsc()
         self._order = csgraph.reverse_cuthill_mckee(inner, symmetric_mode=True)

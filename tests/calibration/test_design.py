@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import sparse
 from worn import FREEDOM
 
 from drake_exo.calibration import design as posed
@@ -309,6 +310,21 @@ def test_slope_is_that_of_problems_solved_again(
     up, down = (solved(value + s * step) for s in (1.0, -1.0))
     expected = up.solution.objective - down.solution.objective
     assert slope == pytest.approx(expected / (2.0 * step), rel=0.01)
+
+
+def test_slopes_come_from_a_system_that_is_banded_in_time(today, monkeypatch):
+    """What cuffs are built as touches all nodes: it is solved for apart."""
+    fill = []
+
+    def noted(system, **options):
+        found = factorise(system, **options)
+        fill.append(found.nnz / system.nnz)
+        return found
+
+    factorise = sparse.linalg.splu
+    monkeypatch.setattr(sparse.linalg, "splu", noted)
+    assert today.slopes()
+    assert len(fill) == 1 and fill[0] < 7.0
 
 
 def test_torques_over_the_movement_keep_the_support(wearer, today):
