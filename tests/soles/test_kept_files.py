@@ -71,6 +71,9 @@ def test_starts_that_were_interrupted_are_found_by_their_number(tmp_path):
         folder.mkdir()
         _checkpoint(number).write(folder)
     start_folder(tmp_path, 5).mkdir()
+    # Somebody's own.
+    (tmp_path / "start_old").mkdir()
+    _checkpoint().write(tmp_path / "start_old")
     found = read_checkpoint(tmp_path)
     assert found.p is None and len(found.begun) == 12 and found.case == "1-Ref"
     there = [k for k, at in enumerate(found.begun) if at is not None]

@@ -144,9 +144,10 @@ def read_checkpoint(path: Path) -> Checkpoint:
     file = path / CHECKPOINT if path.is_dir() else path
     starts = sorted(path.glob("start_*")) if path.is_dir() else []
     begun = {
-        int(start.name.partition("_")[2]): read_checkpoint(start)
+        int(number): read_checkpoint(start)
         for start in starts
-        if (start / CHECKPOINT).exists()
+        if (number := start.name.partition("_")[2]).isdecimal()
+        and (start / CHECKPOINT).exists()
     }
     begun = tuple(map(begun.get, range(max(begun, default=-1) + 1)))
     if starts and not file.exists():
