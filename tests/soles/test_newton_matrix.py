@@ -18,7 +18,7 @@ from drake_exo.soles.contact.law import (
     Ground,
     project,
 )
-from drake_exo.soles.contact.linearisation import ActiveSet, blocks
+from drake_exo.soles.contact.linearisation import ActiveSet
 from drake_exo.soles.contact.newton import (
     ContactSolver,
     Start,
@@ -58,13 +58,6 @@ def test_the_inverse_follows_its_set(seed):
     singular = ActiveSet(np.zeros((9, 9)))
     with pytest.raises(np.linalg.LinAlgError):
         singular.update(np.array([0, 2]))
-
-
-def test_blocks_of_some_nodes():
-    A = np.arange(144.0).reshape(12, 12)
-    rows, columns = np.array([2, 0]), np.array([3, 1, 2])
-    i, j = (np.add.outer(3 * x, np.arange(3)).ravel() for x in (rows, columns))
-    np.testing.assert_array_equal(blocks(A, rows, columns), A[np.ix_(i, j)])
 
 
 # Residuals

@@ -18,11 +18,10 @@ from scipy.linalg.lapack import dgetrf, dgetrs, dpotrf, dpotri
 from drake_exo.soles.contact.law import (
     ContactLaw,
     firmly_sticking,
-    project_node,
     project_with_derivative,
 )
 from drake_exo.soles.elasticity import mirrored, node_dofs
-from drake_exo.soles.numerics import hat, multiply, njit
+from drake_exo.soles.numerics import hat
 
 # Borderings accumulate rounding: start afresh after so many.
 _UPDATES_BEFORE_REFRESH = 80
@@ -53,7 +52,8 @@ class ActiveSet:
         self._updates = 0
         if n == 0:
             return
-        A = blocks(self._C, self.nodes, self.nodes).T
+        own = node_dofs(self.nodes)
+        A = self._C[np.ix_(own, own)].T
         factor, info = dpotrf(A, lower=1, clean=0, overwrite_a=1)
         inverse, info2 = dpotri(factor, lower=1, overwrite_c=1)
         if info or info2:
@@ -110,9 +110,10 @@ class ActiveSet:
     def _append(self, new: np.ndarray) -> None:
         """Border: the inverse of [[C_AA, B], [Bᵀ, C_aa]]."""
         n, k = 3 * len(self.nodes), 3 * len(new)
-        B = blocks(self._C, self.nodes, new)
+        own, more = node_dofs(self.nodes), node_dofs(new)
+        B = self._C[np.ix_(own, more)]
         V = self.S @ B
-        corner = blocks(self._C, new, new) - B.T @ V
+        corner = self._C[np.ix_(more, more)] - B.T @ V
         T = np.linalg.inv(0.5 * (corner + corner.T))
         self.nodes = np.concatenate([self.nodes, new])
         self._reserve(n + k)
@@ -122,19 +123,6 @@ class ActiveSet:
         S[:n, n:] = -VT
         S[n:, :n] = -VT.T
         S[n:, n:] = T
-
-
-@njit()
-def blocks(A, rows, columns):
-    """The 3 × 3 blocks of A at some nodes, (3 rows, 3 columns)."""
-    out = np.empty((3 * len(rows), 3 * len(columns)))
-    for a in range(len(rows)):
-        for i in range(3):
-            row, to = A[3 * rows[a] + i], out[3 * a + i]
-            for b in range(len(columns)):
-                for j in range(3):
-                    to[3 * b + j] = row[3 * columns[b] + j]
-    return out
 
 
 @dataclass(frozen=True)
@@ -170,17 +158,26 @@ class Linearisation:
         )
         self.loose = np.flatnonzero(~firmly_sticking(self.tau, law))
         self._g = node_dofs(self.loose)
-        self.D, M = _law_matrix(
-            self.S, self.loose, self.tau, self.axes, self.R, self.r,
-            law.friction, law.epsilon, law.kappa,
-        )  # fmt: skip
+        _, D = project_with_derivative(self.tau[self.loose], law)
+        turn = self.axes[self.loose] @ self.R
+        self.D = turn.transpose(0, 2, 1) @ D @ turn
         self._lu = None
+        self._S_g = self.S[:, self._g]
         if len(self.loose):
+            # (I − D) S_gg + r D.
+            M = -self._less(self._S_g[self._g])
+            of_node = M.reshape(len(D), 3, len(D), 3)
+            every = np.arange(len(D))
+            of_node[every, :, every] += self.r * self.D
             factor, pivots, info = dgetrf(M, overwrite_a=1)
             if info:
                 raise np.linalg.LinAlgError("singular law at the loose nodes")
             self._lu = factor, pivots
-        self._S_g = blocks(self.S, np.arange(len(self.nodes)), self.loose)
+
+    def _less(self, x: np.ndarray) -> np.ndarray:
+        """(D − I) x at the loose nodes, (3g, c)."""
+        rows = x.reshape(len(self.D), 3, -1)
+        return (self.D @ rows - rows).reshape(x.shape)
 
     def _respond(self, T, known, phi_g=None, turned=None):
         """Solve dF = S dδ + S rhs for dF and dδ, (3k, c) each, sole frame.
@@ -191,7 +188,7 @@ class Linearisation:
         """
         if self._lu is None:
             return T, known
-        rhs = _loose_rhs(self.D, T, self.loose)
+        rhs = self._less(T[self._g])
         if phi_g is not None:
             rhs[:, 0] -= phi_g
         if turned is not None:
@@ -232,15 +229,28 @@ class Linearisation:
         """[dF; dΓ] of what columns change that end with `_against_pose`'s."""
         if turn is not None:
             dP[:, -3:] += self._to_sole(turn.places)
-        return _wrench_change(self.R, self.arm, self.F, dF, dP)
+        out = -self._arms.T @ dF
+        out[3:] += self._turned.T @ dP
+        return out
+
+    @cached_property
+    def _arms(self) -> np.ndarray:
+        """Rᵀ (−I, hat(P − Z)) of every node, (3k, 6)."""
+        shift = np.tile(-self.R.T, (len(self.nodes), 1))
+        return np.concatenate((shift, self._hats(self.arm)), axis=1)
+
+    @cached_property
+    def _turned(self) -> np.ndarray:
+        """Rᵀ hat(F), (3k, 3)."""
+        return self._hats(self.F)
 
     def _against_pose(self, turn) -> np.ndarray:
         """−D_p but for its part in F, (3k, 6)."""
-        shift = np.tile(-self.R.T, (len(self.nodes), 1))
-        turned = _turned_hats(self.R, self.arm)
-        if turn is not None:
-            turned += self._to_sole(turn.places)
-        return np.concatenate((shift, turned), axis=1)
+        if turn is None:
+            return self._arms
+        out = self._arms.copy()
+        out[:, 3:] += self._to_sole(turn.places)
+        return out
 
     def _S_times(self, columns: np.ndarray) -> np.ndarray:
         """S times columns that end with those of `_against_pose`, whole.
@@ -248,8 +258,12 @@ class Linearisation:
         Their part in F needs no product: S W hat(F) = hat(F).
         """
         T = self.S @ columns
-        T[:, -3:] -= _turned_hats(self.R, self.F)
+        T[:, -3:] -= self._turned
         return T
+
+    def _hats(self, v: np.ndarray) -> np.ndarray:
+        """Rᵀ hat(v) of vectors (k, 3), (3k, 3)."""
+        return hat(v @ self.R).reshape(-1, 3) @ self.R.T
 
     def _to_sole(self, x: np.ndarray) -> np.ndarray:
         return (self.R.T @ x).reshape(3 * len(self.nodes), -1)
@@ -333,82 +347,3 @@ class Linearisation:
             change = D.imag.reshape(*tau.shape, 3) / 1e-30
             out[:, self.loose] = np.einsum("ckij,cki,kjl->ckl", change, z, axes)
         return out
-
-
-@njit()
-def _law_matrix(S, loose, tau, axes, R, r, mu, epsilon, kappa):
-    """D of the loose nodes, sole frame (g, 3, 3), and (I − D) S_gg + r D."""
-    g = len(loose)
-    D = np.empty((g, 3, 3))
-    M = np.empty((3 * g, 3 * g)).T  # columns lie together, as LAPACK's do
-    T, plain, half = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    turn, x = np.empty((3, 3)), np.empty(3)
-    for a in range(g):
-        project_node(tau[loose[a]], mu, epsilon, kappa, T, plain)
-        multiply(axes[loose[a]], R, turn)
-        multiply(plain, turn, half)
-        multiply(turn.T, half, D[a])
-    for b in range(g):
-        for j in range(3):
-            column = 3 * loose[b] + j
-            for a in range(g):
-                # S is symmetric: its rows lie together in memory.
-                for i in range(3):
-                    x[i] = S[column, 3 * loose[a] + i]
-                for i in range(3):
-                    turned = D[a, i, 0] * x[0] + D[a, i, 1] * x[1]
-                    turned += D[a, i, 2] * x[2]
-                    M[3 * a + i, 3 * b + j] = x[i] - turned
-                    if a == b:
-                        M[3 * a + i, 3 * b + j] += r * D[a, i, j]
-    return D, M
-
-
-@njit()
-def _loose_rhs(D, T, loose):
-    """(D − I) T of the loose nodes, (3g, c)."""
-    out = np.empty((T.shape[1], 3 * len(loose))).T
-    for a in range(len(loose)):
-        x = T[3 * loose[a] : 3 * loose[a] + 3]
-        for i in range(3):
-            for c in range(T.shape[1]):
-                out[3 * a + i, c] = (
-                    D[a, i, 0] * x[0, c]
-                    + D[a, i, 1] * x[1, c]
-                    + D[a, i, 2] * x[2, c]
-                    - x[i, c]
-                )
-    return out
-
-
-@njit()
-def _turned_hats(R, v):
-    """Rᵀ hat(v) of vectors v (k, 3), (3k, 3)."""
-    out = np.empty((3 * len(v), 3))
-    for n in range(len(v)):
-        x, y, z = v[n]
-        for i in range(3):
-            a, b, c = R[0, i], R[1, i], R[2, i]
-            row = out[3 * n + i]
-            row[0], row[1], row[2] = b * z - c * y, c * x - a * z, a * y - b * x
-    return out
-
-
-@njit()
-def _wrench_change(R, arm, F, dF, dP):
-    """[ΣdF; Σ(P−Z)×dF + dP×F] for fields that R turns, (3k, c) -> (6, c)."""
-    out = np.zeros((6, dF.shape[1]))
-    f, x = np.empty(3), np.empty(3)
-    for n in range(len(arm)):
-        for c in range(dF.shape[1]):
-            for i in range(3):
-                f[i] = x[i] = 0.0
-                for j in range(3):
-                    f[i] += R[i, j] * dF[3 * n + j, c]
-                    x[i] += R[i, j] * dP[3 * n + j, c]
-            for i in range(3):
-                j, k = (i + 1) % 3, (i + 2) % 3
-                out[i, c] += f[i]
-                out[3 + i, c] += arm[n, j] * f[k] - arm[n, k] * f[j]
-                out[3 + i, c] += x[j] * F[n, k] - x[k] * F[n, j]
-    return out
