@@ -169,7 +169,8 @@ class TetMesh:
     @cached_property
     def volumes(self) -> np.ndarray:
         """Signed element volumes [m³], (e,)."""
-        return np.linalg.det(self._spans()) / 6.0
+        a, b, c = self._spans()
+        return np.einsum("ei,ei->e", a, np.cross(b, c)) / 6.0
 
     @property
     def is_block(self) -> bool:
@@ -185,11 +186,10 @@ class TetMesh:
     @cached_property
     def gradients(self) -> np.ndarray:
         """Gradients g_a of the shape functions [1/m], (e, 4, 3)."""
-        inverse = np.linalg.inv(self._spans())  # columns: g_1 g_2 g_3
-        g = np.empty((len(self.tets), 4, 3))
-        g[:, 1:] = inverse.transpose(0, 2, 1)
-        g[:, 0] = -g[:, 1:].sum(axis=1)
-        return g
+        a, b, c = self._spans()
+        g = [np.cross(b, c), np.cross(c, a), np.cross(a, b)]
+        g = np.stack([-(g[0] + g[1] + g[2]), *g], axis=1)
+        return g / (6.0 * self.volumes[:, None, None])
 
     @property
     def undercut(self) -> float:
@@ -220,7 +220,8 @@ class TetMesh:
         12 (3 V)^(2/3) / Σ l² (Liu and Joe, BIT 34, 1994), where the sum is four
         times that of the corners' squared distances from their middle.
         """
-        V, away = self.volumes, (self._from_middles() ** 2).sum(axis=(1, 2))
+        V, x = self.volumes, self._from_middles()
+        away = np.einsum("eai,eai->e", x, x)
         return 3.0 * np.sign(V) * (3.0 * np.abs(V)) ** (2 / 3) / away
 
     def quality_gradient(self, share: np.ndarray) -> np.ndarray:
@@ -230,7 +231,7 @@ class TetMesh:
         part = replace(self, tets=self.tets[felt])
         out = np.zeros_like(self.nodes)
         x = part._from_middles()
-        away = (x**2).sum(axis=(1, 2))[:, None, None]
+        away = np.einsum("eai,eai->e", x, x)[:, None, None]
         size = (part.quality() * share[felt])[:, None, None]
         scatter(
             out, part.tets, size * (2 / 3 * part.gradients - 2.0 * x / away)
@@ -240,7 +241,7 @@ class TetMesh:
     def _from_middles(self) -> np.ndarray:
         """Of the corners from the middle of their tet [m], (e, 4, 3)."""
         x = self.nodes[self.tets]
-        return x - x.mean(axis=1, keepdims=True)
+        return x - 0.25 * np.einsum("eai->ei", x)[:, None]
 
     def edges(self) -> tuple[np.ndarray, np.ndarray]:
         """Nodes of every edge, lower first, (k, 2); each tet's six, (e, 6)."""
@@ -250,9 +251,9 @@ class TetMesh:
         return np.column_stack(divmod(code, n)), owner.reshape(-1, 6)
 
     def _spans(self) -> np.ndarray:
-        """Matrices whose rows are x_a - x_0, (e, 3, 3)."""
-        x = self.nodes[self.tets]
-        return x[:, 1:] - x[:, :1]
+        """Of the last three corners from the first [m], (3, e, 3)."""
+        x = self.nodes[self.tets.T]
+        return x[1:] - x[:1]
 
 
 def normals_of(corners: np.ndarray) -> np.ndarray:
