@@ -102,7 +102,7 @@ def test_what_is_predicted_uncalibrated_is_kept(trials, tmp_path, monkeypatch):
     monkeypatch.setattr(predict, "draw_figures", lambda *a: shown.extend(a[3]))
     found = SimpleNamespace(write=lambda *_: None)
     good = [(found, usual, trials[0]), (found, None, trials[1])]
-    predict._write(tmp_path, good, [None, None], summary, Verdict(()))
+    predict._write(tmp_path, good, [None, None], summary, Verdict(()), False)
     assert shown == [usual, None]
     assert "the same with uncalibrated cuffs (not solved: rise2)" in (
         (tmp_path / "rmsd.txt").read_text("utf-8")
