@@ -253,7 +253,7 @@ class ShapeBlock:
 class OptimizeBlock:
     """Shape parametrisation, limits and stages of an optimisation."""
 
-    intervals: tuple[int, int] = (12, 12)
+    intervals: tuple[int, int] = (10, 10)
     fixed_top: bool = False
     bounds: Vector2 = (0.3, 1.4)
     stability_n_per_m: float | None = positive("N/m", 1000.0)
