@@ -118,6 +118,8 @@ class _Wearing(PhaseProblem):
             solver=settings.solver,
             guess="data",
         )
+        # Variables of each cuff that follow from the design.
+        self.built: list[np.ndarray] = []
         # Of each trial, how far its device's joints go to each node [rad].
         self._ways: list[np.ndarray] = []
         self._total = None
@@ -198,7 +200,7 @@ class _Wearing(PhaseProblem):
             np.concatenate([variables[: len(own)], design])[None],
             data=own[None],
         )
-        self._posed.built.append(variables[: len(own)])
+        self.built.append(variables[: len(own)])
         values = [p.nominal for p in known]
         prog.AddBoundingBoxConstraint(values, values, variables[len(own) :])
         return variables
@@ -706,7 +708,6 @@ class DesignProblem(Compiles):
         wearers, settings, today, support, without: as given.
         design: the design variables.
         variables: name -> decision variable.
-        built: those of each wearer's cuffs that the design decides.
         parts: one for each wearer.
 
     Raises:
@@ -741,7 +742,6 @@ class DesignProblem(Compiles):
         durations = [t.duration for w in self.wearers for t in w.trials]
         scale = max(joint_norm(own), _LEAST_SCALE_N)
         weights_s = cuffs * sum(durations)
-        self.built: list[np.ndarray] = []
         self.parts = [_Wearing(w, self, scale, weights_s) for w in wearing]
         self.build_seconds = time.perf_counter() - start
 

@@ -137,7 +137,8 @@ class DesignResult:
         }
         fixed = {v.name: index[v.name] for v in problem.design if not v.free}
         free = [i for n, i in index.items() if n not in fixed]
-        built = problem.program.indices(np.concatenate(problem.built))
+        built = [v for part in problem.parts for v in part.built]
+        built = problem.program.indices(np.concatenate(built))
         touching = np.array(sorted([*free, *built]), int)
         border = program.unknowns.column_of(touching)
         optimum = Optimum(program, y, border)
