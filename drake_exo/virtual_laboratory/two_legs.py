@@ -150,12 +150,9 @@ def write_movements(
             f"left_share (--left-share) is {left_share:g}; give 0.1 to 0.9, as "
             "both feet stand"
         )
-    for what, value, least in (
-        ("trials", trials, 1),
-        ("seed", seed, 0),
-        ("processes", processes, 1),
-    ):
-        check_count(value, least, what)
+    check_count(trials, 1, "trials")
+    check_count(seed, 0, "seed")
+    check_count(processes, 1, "processes")
     active = checked(disturbances) & frozenset(ACTING)
     job = TwoLegs(
         folder, description, movement, seed, active, left_share, files
