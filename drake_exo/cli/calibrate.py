@@ -240,7 +240,7 @@ def finished(folder: Path, of: str, points: int = 0) -> Verdict | None:
         )
     if "front" in summary and len(summary["front"]) < points:
         return None
-    print(f"{folder} is complete; nothing to resume")
+    print(f"{folder} is complete and kept as it is")
     return found
 
 

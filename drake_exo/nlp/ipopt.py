@@ -219,9 +219,10 @@ class Solution:
         )
         if worst:
             return f"Worst constraints (scaled): {worst}."
+        remedy = "resume" if self.was_stopped else "allow more iterations"
         return (
             "All constraints hold: the point is feasible but not yet optimal; "
-            "allow more iterations."
+            f"{remedy}."
         )
 
 

@@ -270,8 +270,9 @@ class Comparison:
 
     def text(self) -> str:
         """All tables."""
+        settings = self.settings()
         parts = [
-            ("what differs in settings", self.settings()),
+            ("what differs in settings", settings),
             ("parameters", self.parameters()),
             ("RMSD, mean of the trials that all have", self.rmsd()),
             ("largest forces, mean of these trials", self.forces()),
@@ -280,7 +281,8 @@ class Comparison:
             f"{title}\n{self._table(rows)}" for title, rows in parts if rows
         ]
         marks = [f"{name}: {mark}" for name, mark in self.marks().items()]
-        return "\n\n".join([*marks, *tables])
+        same = [] if settings else ["no setting differs"]
+        return "\n\n".join([*marks, *same, *tables])
 
     def marks(self) -> dict[str, str]:
         """Label -> mark of each result that does not hold."""

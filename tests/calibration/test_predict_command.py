@@ -60,7 +60,7 @@ def test_what_is_complete_is_not_begun_again(
     before = (out / "summary.json").read_bytes()
     given = ["--calibration", str(calibrated), "--out", str(out), "--resume"]
     assert main([*command("predict"), *given]) == 0
-    assert "is complete; nothing to resume" in capsys.readouterr().out
+    assert "is complete and kept as it is" in capsys.readouterr().out
     for more in (["--scale-interaction", "1.2"], ["--torque-limit", "900"]):
         assert main([*command("predict"), *given, *more]) == 2
         assert "another study or other settings" in capsys.readouterr().err

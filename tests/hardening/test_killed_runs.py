@@ -75,7 +75,7 @@ def test_calibrate_goes_on_after_a_kill(campaign, tmp_path, capsys):
     assert again["iterations"] < fresh["iterations"]
     assert not list(out.glob("checkpoint*"))
     assert main([*command, "--resume"]) == 0
-    assert "nothing to resume" in capsys.readouterr().out
+    assert "is complete and kept as it is" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -135,6 +135,8 @@ def test_constraints_off_by_rounding_are_not_blamed():
     assert "step[3] row 0 off by 0.0003." in failed.explain()
     failed.worst_constraints = off[1:]
     assert "allow more iterations" in failed.explain()
+    failed.status = ipopt.STOPPED_BY_USER
+    assert "not yet optimal; resume." in failed.explain()
 
 
 def test_a_second_strategy_is_tried_when_the_first_fails():

@@ -166,6 +166,7 @@ def test_half_widths_and_marks(folders, tmp_path, trials):
         tmp_path / "carl", trials, 1.0, checks=[check], parameters=parameters
     )
     found = compare([*folders, third])
+    assert "what differs in settings" in found.text()
     assert found.parameters()["heel.x [m]"][2] == "1 ± 0.25"
     mark = "DOES NOT HOLD: audit (rise1, 2.5 N, limit 1 N)"
     assert found.marks() == {"carl": mark}
@@ -188,7 +189,9 @@ def test_the_mark_is_on_everything_that_is_written(folders, tmp_path, trials):
 def test_one_trial_in_common_is_enough(tmp_path, trials):
     a = leave(tmp_path / "a", trials, 1.0)
     b = leave(tmp_path / "b", trials[1:], 1.0)
-    assert compare([a, b]).trials == tuple(t.name for t in trials[1:])
+    found = compare([a, b])
+    assert found.trials == tuple(t.name for t in trials[1:])
+    assert found.settings() == {} and "no setting differs\n" in found.text()
     renamed = [replace(t, name=f"other_{t.name}") for t in trials]
     c = leave(tmp_path / "c", renamed, 1.0)
     with pytest.raises(InputError, match="no trial in common"):

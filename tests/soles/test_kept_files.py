@@ -84,7 +84,8 @@ def test_starts_that_were_interrupted_are_found_by_their_number(tmp_path):
     at = _checkpoint()
     for alone, count in ((None, 0), (at.p, 12), (at.p[1:], 0)):
         replace(at, alone=alone).write(tmp_path)
-        assert len(read_checkpoint(tmp_path).begun) == count
+        for path in (tmp_path, tmp_path / "checkpoint.json"):
+            assert len(read_checkpoint(path).begun) == count
 
 
 @pytest.mark.parametrize(

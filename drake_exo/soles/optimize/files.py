@@ -141,6 +141,8 @@ def read_checkpoint(path: Path) -> Checkpoint:
     Raises:
         InputError: Missing or not a checkpoint.
     """
+    if path.name == CHECKPOINT:  # starts and walks have theirs beside it
+        path = path.parent
     file = path / CHECKPOINT if path.is_dir() else path
     starts = sorted(path.glob("start_*")) if path.is_dir() else []
     begun = {
