@@ -38,65 +38,72 @@ def add_arguments(sole: ArgumentParser) -> None:
         parser.set_defaults(run=run)
         return parser
 
-    parser = job(
-        "simulate", _simulate, "simulate a sole through one contact phase"
-    )
+    one = "simulate a sole while the foot's load moves over it"
+    parser = job("simulate", _simulate, one)
     _add_case(parser)
     add_accept(parser)
-    parser = job("optimize", _optimize, "find the best shape for a case")
+    parser = job("optimize", _optimize, "find the best shape of a case's sole")
     _add_case(parser)
-    resumed = "go on from the checkpoint in this folder of an earlier run"
+    resumed = "go on from an earlier run's checkpoint, into another --out"
     parser.add_argument("--resume", type=Path, metavar="DIR", help=resumed)
     _add_limits(parser, ("all", "none"))
     _add_iterations(parser)
     add_accept(parser)
-    _add_jobs(parser, "starts, or walks, searched at a time")
-    parser = job("study", _study, "the paper's five cases (Table 2)")
-    parser.add_argument(
-        "--coarse", action="store_true", help="two coarse stages, two minutes"
-    )
+    _add_jobs(parser, "starts (or walks) to search at a time")
+    five = "optimise De Magistris's five cases, beside Table 2 of the paper"
+    parser = job("study", _study, five)
+    coarse = "only two stages on a coarse mesh, for a first look (two minutes)"
+    parser.add_argument("--coarse", action="store_true", help=coarse)
     _add_limits(parser, ("all", "none", "both"))
     _add_iterations(parser)
     add_accept(parser)
-    front = "also the front of c_tr against c_rot, coarse"
+    front = "also find the least c_tr above floors of c_rot, on a coarse mesh"
     parser.add_argument("--front", action="store_true", help=front)
-    _add_jobs(parser, "stages of starts at a time")
+    _add_jobs(parser, "stages of starts to run at a time")
     parser.add_argument(
-        "--mesh", type=Path, help="mesh file used instead of the brick"
+        "--mesh", type=Path, help="mesh file to use instead of the brick"
     )
     parser.add_argument(
         "--data-root",
         type=Path,
         help=f"folder that holds the authors' step, {paper.AUTHORS_STEP} "
-        "(default: our own walking pattern)",
+        "(default: none; the load is our own walking pattern)",
     )
     add_out(parser, required=True, help="folder for the results")
-    parser = job("front", _front, "front of c_tr against c_rot")
+    front = (
+        "find the least stiffness at heel strike (c_tr) above eight floors of "
+        "the stiffness against tilting (c_rot)"
+    )
+    parser = job("front", _front, front)
     _add_case(parser)
     _add_limits(parser, ("all", "none"))
-    strain = "heel strike of designs in finite strain, beside small strain"
+    strain = "compare heel strike of designs in finite and in small strain"
     parser = job("strain", _strain, strain)
     folders = "folder of 'sole optimize' or 'sole study'"
     _add_source(parser, f"{folders}, or a case file")
     _add_files(parser)
-    again = "draw the pictures of a study or a design again"
+    again = "draw a study's or a design's pictures again, and report.html"
     _add_source(job("report", _report, again), folders)
-    spheres = "spheres of a smooth law that are nearest to a sole"
+    spheres = "fit a smooth contact law of a few spheres to a simulated sole"
     parser = job("reduce", _reduce, spheres)
     simulated = "folder of 'sole simulate' or 'sole optimize'"
     parser.add_argument("source", type=Path, metavar="DIR", help=simulated)
     parser.add_argument(
-        "--spheres", type=count, default=4, help="how many (default: 4)"
+        "--spheres", type=count, default=4, help="how many to fit (default: 4)"
     )
-    parser.add_argument(
-        "--planar", action="store_true", help="pitch and forward alone"
+    planar = (
+        "fit to pitch and forward motion alone, for a step that does not roll "
+        "sideways"
     )
-    add_out(parser, required=True, help="law.yaml to write")
+    parser.add_argument("--planar", action="store_true", help=planar)
+    law = "law to write, a .yaml file; a .csv of its samples goes beside it"
+    add_out(parser, required=True, help=law)
 
 
 def _add_case(parser) -> None:
     """A case file, what it names, and where results go."""
-    parser.add_argument("case", type=Path, metavar="CASE.yaml")
+    what = "case file: sole, material, load and, where given, limits"
+    parser.add_argument("case", type=Path, metavar="CASE.yaml", help=what)
     _add_files(parser)
     add_out(parser, required=True, help="folder for the results")
 
@@ -104,7 +111,7 @@ def _add_case(parser) -> None:
 def _add_files(parser) -> None:
     """Where a case finds its mesh and its files."""
     parser.add_argument(
-        "--mesh", type=Path, help="mesh file used instead of the case's"
+        "--mesh", type=Path, help="mesh file to use instead of the case's"
     )
     parser.add_argument(
         "--data-root",
@@ -127,8 +134,10 @@ def _add_limits(parser, choices) -> None:
         "--limits",
         choices=choices,
         default="all",
-        help="limits on stability, tilt and strain: the case's, or none as "
-        "in the paper (default: all)",
+        help="limits on stability, tilt and strain: all keeps the case's, none "
+        "leaves them out as in the paper"
+        + (", both runs it both ways" if "both" in choices else "")
+        + " (default: all)",
     )
 
 
@@ -144,7 +153,8 @@ def _add_iterations(parser) -> None:
         "--iterations",
         type=count,
         metavar="N",
-        help="at most so many in the last stage (default: the case's)",
+        help="largest number of iterations of the last stage (default: the "
+        "case's)",
     )
 
 
