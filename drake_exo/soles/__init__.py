@@ -1,11 +1,12 @@
-"""Compliant soles: simulated through a step, and optimised in shape.
+"""Compliant soles: simulate one through a step, optimise its shape.
 
 >>> import drake_exo as dx
 >>> case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
 >>> step = case.simulate()
 >>> best = case.optimize()
 
-Names are imported as they are asked for, so that importing this costs nothing.
+Each name is imported when it is first used, so that importing `soles` costs
+nothing.
 """
 
 import drake_exo

@@ -1,4 +1,4 @@
-"""A case: the sole, the step it takes, and what can be done with both."""
+"""A case: a sole and the step it takes, to simulate or to optimise."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ optimize:
 
 @dataclass(frozen=True, repr=False)
 class Case(Setup):
-    """A sole, the step that it takes, and how its shape is judged.
+    """A sole, the step that it takes, and the cost and limits of its shape.
 
     >>> import drake_exo as dx
     >>> case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
@@ -53,21 +53,22 @@ class Case(Setup):
         mesh_file: Path | None = None,
         read_step: StepReader | None = None,
     ) -> "Case":
-        """Read a case file and what it names.
+        """Read a case file and the files that it names.
 
         Args:
-            path: Of the YAML file; docs/soles.md has its keys.
-            data_root: Folder that its paths are relative to, by default the
-                file's own.
-            mesh_file: Used instead of the case's mesh, also in the last stage
-                of an optimisation.
-            read_step: Reads a step of a recording: called with the study's
-                path as the case gives it, trial, foot, start, end, number,
-                least force [N].
+            path: The YAML file; docs/soles.md lists its keys.
+            data_root: Folder that the case's paths are relative to, by default
+                the case file's own.
+            mesh_file: Mesh to use instead of the case's, also in the last
+                stage of an optimisation.
+            read_step: Function that reads a step of a recording; needed for a
+                load with `recording`. It is called with the study's path as
+                the case gives it, trial, foot, start, end, number, least
+                force [N].
 
         Raises:
-            InputError: With file, line, key and remedy; or the ZMP leaves
-                the sole.
+            InputError: The case cannot be read (the message has file, line,
+                key and remedy), or the ZMP leaves the sole.
         """
         settings = Settings.read(path)
         root = data_root or Path(path).parent
@@ -83,21 +84,21 @@ class Case(Setup):
         data_root: Path | str = ".",
         read_step: StepReader | None = None,
     ) -> "Case":
-        """As `read`, of a case file's text."""
+        """Make a case from the text of a case file; see `read`."""
         settings = schema.load_text(text, Settings, "case")
         return cls.open(settings, data_root, read_step=read_step)
 
     def simulate(
         self, progress: Callable[[int, int], None] | None = None
     ) -> Step:
-        """The sole through its step, by the contact law of the case.
+        """Simulate the sole through its step, by the exact contact law.
 
         Args:
-            progress: Called with samples done and samples in all.
+            progress: Called with the number of samples done, and of all.
 
         Raises:
-            InputError: The load's ZMP leaves the sole, or its force the
-                friction cone.
+            InputError: The load's ZMP leaves the sole, or its force leaves
+                the friction cone.
         """
         self.check_load()
         return Step.of(self, progress)
@@ -109,18 +110,19 @@ class Case(Setup):
         resume: Checkpoint | Path | str | None = None,
         at_once: int = 1,
     ) -> Design:
-        """The best shape for the step, from several starts, stage by stage.
+        """Find the best shape for the step, from several starts, in stages.
 
         Args:
-            folder: For checkpoint.json, replaced now and then; it is there
-                already.
+            folder: Existing folder in which to keep checkpoint.json, which is
+                replaced every few iterations; None keeps none.
             say: Called with one line of progress now and then.
             resume: Earlier checkpoint to go on from, or the folder it is in.
-            at_once: Processes for the starts; with 1 this one makes all.
+            at_once: Number of processes that search the starts; with 1 this
+                process does all of it.
 
         Raises:
-            InputError: The checkpoint is damaged or of another case, or as of
-                `simulate`.
+            InputError: The checkpoint is damaged or of another case; or the
+                load cannot be carried, as in `simulate`.
         """
         self.check_load()
         if not isinstance(resume, Checkpoint | None):

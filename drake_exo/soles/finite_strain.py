@@ -476,7 +476,7 @@ TABLE = "finite_strain.csv"
 def compare_strains(
     setup: Setup, say: Callable[[str], object] | None = None
 ) -> dict:
-    """Follow heel strike in small and in finite strain, exact contact law.
+    """Follow heel strike in small and in finite strain, by the exact law.
 
     >>> import drake_exo as dx
     >>> case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
@@ -486,7 +486,7 @@ def compare_strains(
     >>> print(f"{found['c_tr_finite'] / found['c_tr_small']:.2f}")
     1.02
 
-    Both in linear elements, whatever the case's are: finite strain knows no
+    Both use linear elements, whatever the case's are: finite strain has no
     others.
 
     Args:
@@ -494,10 +494,10 @@ def compare_strains(
         say: Called with one line of progress now and then.
 
     Returns:
-        c_tr of both kinds, samples converged, and `samples`: the figures of
-        both at the first, middle and last sample of heel strike (1, 11 and
-        21 of the paper's 21; numbers are the load's), NaN where there is no
-        equilibrium.
+        c_tr in both kinds of strain, the number of samples converged, and
+        `samples`: the figures of both at the first, middle and last sample of
+        heel strike, numbered as in the load (1, 11 and 21 of the paper's 21),
+        NaN where there is no equilibrium.
     """
     mesh = setup.mesh.touching_everywhere()
     sole = Sole(mesh, setup.settings.material.material(), "linear")

@@ -32,7 +32,7 @@ _SHAPES = {
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """Force and ZMP at N samples; arrays that cannot be written to.
+    """Force and ZMP of one foot at N samples; its arrays are read-only.
 
     >>> import drake_exo as dx
     >>> load = dx.soles.Load([0.0, 0.1], [[0, 0, 300.0]] * 2, [[0.0, 0.01]] * 2)
@@ -42,7 +42,7 @@ class Load:
     >>> load.every(1).times
     array([0.])
 
-    In a case, `replace` being that of `dataclasses`:
+    To put another load into a case, use `dataclasses.replace`:
 
     >>> case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
     >>> twice = replace(case.load, force=2.0 * case.load.force)
@@ -50,23 +50,24 @@ class Load:
     array([ 20.,   0., 800.])
 
     Raises:
-        InputError: Samples are missing, not finite or of another shape, time
-            does not increase, the foot is lifted or pulled, or weights are
-            not above 0, one for each phase.
+        InputError: Samples are missing, not finite or of another shape; time
+            does not increase; a vertical force is not above 0; or there is not
+            one weight above 0 for each phase.
 
     Attributes:
-        times: [s], (N,), strictly increasing.
-        force: Force of the ground on the sole, world [N], (N, 3).
-        zmp: ZMP on the ground, world [m], (N, 2).
-        name: Where it came from, for messages.
+        times: Times of the samples [s], (N,), strictly increasing.
+        force: Force of the ground on the sole in the world frame [N], (N, 3).
+        zmp: Zero-moment point on the ground in the world frame [m], (N, 2).
+        name: Where the load came from, for messages.
         free_moment: Moment about the vertical through the ZMP [N·m], (N,);
-            None: zero.
-        rotation: Orientation of the sole, (N, 3, 3), where that is measured
-            and the force alone is asked for; None: it follows from the ZMP.
-        moments_cut: Samples whose free moment friction would not bear, see
-            `bearable`.
+            None means zero.
+        rotation: Measured orientation of the sole, (N, 3, 3); the simulation
+            then follows it and the force, not the ZMP. None means that the
+            orientation follows from the ZMP.
+        moments_cut: Number of samples whose free moment was cut to what
+            friction bears, see `bearable`.
         begins: Samples at which the foot is set down anew, the first is 0.
-        weights: Of the contact phases that begin there.
+        weights: Weights of the contact phases that begin there.
     """
 
     times: np.ndarray
@@ -167,7 +168,7 @@ class Load:
             )
 
     def straight(self) -> "Load":
-        """The heel-to-toe case: no sideways ZMP nor force."""
+        """The load without sideways ZMP, sideways force and free moment."""
         return replace(
             self,
             force=self.force * [1.0, 0.0, 1.0],
@@ -176,7 +177,10 @@ class Load:
         )
 
     def placed(self, origin, yaw: float) -> "Load":
-        """Seen from a foot at `origin` [m] turned by `yaw` [rad]."""
+        """The load in the frame of a foot at `origin` [m], turned by `yaw`.
+
+        `yaw` is in rad.
+        """
         turn = rotation_z(-yaw)
         return replace(
             self,
@@ -186,14 +190,14 @@ class Load:
         )
 
     def every(self, count: int) -> "Load":
-        """`count` samples spread evenly over the phase."""
+        """The load at `count` samples, spread evenly over all of them."""
         index = np.unique(
             np.round(np.linspace(0, len(self.times) - 1, count)).astype(int)
         )
         return self.at(index)
 
     def at(self, index: np.ndarray) -> "Load":
-        """Some samples, by their increasing numbers."""
+        """The load at some samples, given by increasing numbers."""
         left, begins = np.unique(self.phase[index], return_index=True)
         arrays = {name: getattr(self, name) for name in _SHAPES}
         return replace(
@@ -212,7 +216,7 @@ class Load:
 
     @property
     def phases(self) -> list[slice]:
-        """Samples of every contact phase."""
+        """Slices of the samples, one for every contact phase."""
         ends = (*self.begins[1:], len(self.times))
         return [slice(a, b) for a, b in zip(self.begins, ends, strict=True)]
 
@@ -223,7 +227,7 @@ class Load:
 
     @classmethod
     def one_after_another(cls, loads, weights) -> "Load":
-        """Several loads of one foot, its clock going on 0.2 s after each.
+        """Join loads of one foot; each begins 0.2 s after the one before.
 
         >>> import drake_exo as dx
         >>> force, zmp = [[0, 0, 300.0]] * 2, [[0.0, 0.01]] * 2
@@ -233,11 +237,12 @@ class Load:
         (array([0. , 0.1, 0.3, 0.4]), (0, 2), array([0.33333333, 0.66666667]))
 
         Args:
-            loads: What is asked for in each.
-            weights: Of each in the cost; its phases share it as before.
+            loads: The loads to join.
+            weights: The weight of each load in the cost; a load of several
+                phases divides it among them as before.
 
         Raises:
-            InputError: There are none, or not as many weights.
+            InputError: There are no loads, or not as many weights.
         """
         loads, weights, times, end = list(loads), list(weights), [], None
         if not loads or len(loads) != len(weights):
@@ -266,7 +271,8 @@ class Load:
     def target(self, q: int, reference, ground: Ground = FLAT) -> Target:
         """What a simulation must reach at sample q, counted from 0.
 
-        From places at the sample before (m, 3), or from a `Start`.
+        `reference` is the nodes' places at the sample before (m, 3), or a
+        `Start`.
         """
         return Target(
             self.force[q],
@@ -289,10 +295,10 @@ class Load:
 
         Args:
             friction: Coulomb's coefficient μ.
-            up: Normal of the ground on the whole, (3,).
+            up: Normal of the plane that fits the ground, (3,).
 
         Raises:
-            InputError: Names the first sample beyond the cone.
+            InputError: A force leaves the friction cone; names the first.
         """
         asked = self.friction_used(up)
         beyond = asked >= friction
@@ -308,11 +314,12 @@ class Load:
             )
 
     def bearable(self, friction: float, width: float, up) -> "Load":
-        """Free moments cut to what a line of contact across the sole bears.
+        """The load, its free moments cut to what friction can bear.
 
-        A line of length `width` w [m] under an even load F_n turns about the
-        ground's normal `up` at (μ F_n − |F_t|) w / 4.
-        Plates and their filters tell more at small loads than any ground bears.
+        A line of contact across the sole, of length `width` w [m] under an even
+        load F_n, begins to turn about the ground's normal `up` at the moment
+        (μ F_n − |F_t|) w / 4. At small loads plates and their filters report
+        more than any ground bears.
         """
         if self.free_moment is None:
             return self
@@ -328,7 +335,7 @@ class Load:
         return float(np.linalg.norm(self.force, axis=1).max())
 
     def friction_used(self, up) -> np.ndarray:
-        """Force along over force across a ground of normal `up`, (N,)."""
+        """Tangential over normal force on a ground of normal `up`, (N,)."""
         across, along = self._on_ground(up)
         return np.where(across > 0, along / across, np.inf)
 
@@ -338,14 +345,14 @@ class Load:
         return across, np.linalg.norm(self.force - np.outer(across, up), axis=1)
 
     def check_inside(self, places: np.ndarray) -> None:
-        """Refuse a ZMP outside the sole's outline, where one is asked for.
+        """Refuse a ZMP outside the sole's outline, unless poses are measured.
 
         Args:
-            places: Of the sole's nodes as it is set down level, on the
-                ground [m], (m, 2).
+            places: Places on the ground of the sole's nodes as it is set down
+                level [m], (m, 2).
 
         Raises:
-            InputError: Names the first sample outside.
+            InputError: The ZMP leaves the outline; names the first sample.
         """
         hull = ConvexHull(places)
         distance = (

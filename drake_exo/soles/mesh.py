@@ -38,7 +38,7 @@ _LEAST_TOP = 0.3  # of the area seen from above that is a flat top
 
 @dataclass(frozen=True, eq=False)
 class TetMesh:
-    """Linear tetrahedra of a sole and their surfaces.
+    """A sole as a mesh of four-node tetrahedra, with its surfaces.
 
     >>> import drake_exo as dx
     >>> mesh = dx.soles.Case.from_text(dx.soles.EXAMPLE).mesh
@@ -48,11 +48,11 @@ class TetMesh:
     897 cm³
 
     Attributes:
-        nodes: Positions in the sole frame [m], (n, 3); cannot be written to.
-        tets: Node indices, positively oriented, (e, 4).
+        nodes: Positions in the sole frame [m], (n, 3); read-only.
+        tets: Node indices of the tetrahedra, positively oriented, (e, 4).
         fixed: Sorted indices of the nodes that move with the foot.
-        lost: Part of the surface of a file that the mesh does not follow;
-            None where it was made of none.
+        lost: Part of the area of an STL or OBJ that the mesh does not follow;
+            None if the mesh was not made from such a file.
     """
 
     nodes: np.ndarray
@@ -69,7 +69,7 @@ class TetMesh:
         return f"TetMesh({len(self.nodes)} nodes, {len(self.tets)} tets)"
 
     def with_nodes(self, nodes: np.ndarray) -> "TetMesh":
-        """The same connectivity at other node positions."""
+        """The same elements with their nodes at other positions."""
         out = replace(self, nodes=nodes)
         # The boundary does not depend on positions, and the nodes that may
         # touch stay the same ones.
@@ -86,7 +86,7 @@ class TetMesh:
 
     @cached_property
     def faces_shared(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of all triangles one of each, and how many tets have it, (t,)."""
+        """Index of each distinct triangle, and how many tets share it, (t,)."""
         _, index, count = np.unique(
             np.sort(self.tets[:, FACES].reshape(-1, 3), axis=1),
             axis=0,
@@ -97,12 +97,12 @@ class TetMesh:
 
     @cached_property
     def is_top(self) -> np.ndarray:
-        """Which triangles are wholly on the fixed surface, (f,)."""
+        """Which boundary faces lie wholly on the fixed surface, (f,)."""
         return np.isin(self.boundary_faces, self.fixed).all(axis=1)
 
     @property
     def top_faces(self) -> np.ndarray:
-        """Those triangles."""
+        """The boundary faces that lie wholly on the fixed surface."""
         return self.boundary_faces[self.is_top]
 
     @cached_property
@@ -112,9 +112,9 @@ class TetMesh:
 
     @cached_property
     def contact(self) -> np.ndarray:
-        """Sorted nodes that may touch: of bare faces that look downwards.
+        """Sorted nodes that may touch: those of bare faces that look down.
 
-        Others get to the ground only where a sole rolls far or bulges; see
+        Other nodes reach the ground only if a sole rolls far or bulges; see
         `touching_everywhere`.
         """
         down = self.contact_faces[self._looks_down]
@@ -131,22 +131,22 @@ class TetMesh:
         return self.with_contact(self.bare)
 
     def with_contact(self, nodes: np.ndarray) -> "TetMesh":
-        """The same mesh, of which these (sorted) nodes may touch."""
+        """The same mesh, in which only these (sorted) nodes may touch."""
         out = self.with_nodes(self.nodes)
         out.__dict__["contact"] = nodes
         return out
 
     @cached_property
     def contact_faces(self) -> np.ndarray:
-        """Surface triangles that are not wholly on the fixed surface."""
+        """Boundary faces that do not lie wholly on the fixed surface."""
         return self.boundary_faces[~self.is_top]
 
     @cached_property
     def contact_areas(self) -> np.ndarray:
-        """Rest area around each node that may touch [m²], (m,).
+        """Area at rest around each node that may touch [m²], (m,).
 
-        Of faces that look downwards, as those that touch do; of all bare ones
-        where a node has none.
+        Only faces that look down count, as those do that touch; at a node
+        without any, all bare faces count.
         """
         _, twice = self.areas(self.contact_faces)
 
@@ -159,9 +159,9 @@ class TetMesh:
         return np.where(below > 0.0, below, around(twice))
 
     def areas(self, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Vectors (f, 3) along the normals of triangles, their lengths (f,).
+        """Vectors (f, 3) along the normals of triangles, and lengths (f,).
 
-        These are twice the areas [m²].
+        A length is twice the triangle's area [m²].
         """
         area = normals_of(self.nodes[faces])
         return area, np.linalg.norm(area, axis=1)
@@ -174,7 +174,7 @@ class TetMesh:
 
     @property
     def is_block(self) -> bool:
-        """Whether it fills its bounding box, as a brick does."""
+        """Whether the sole fills its bounding box, as a brick does."""
         box = np.prod(np.ptp(self.nodes, axis=0))
         return bool(abs(self.volume / box - 1) < 1e-6)
 
@@ -193,9 +193,9 @@ class TetMesh:
 
     @property
     def undercut(self) -> float:
-        """Part of the bare surface that faces upwards by over 1° [0, 1].
+        """Part of the bare surface that faces upwards by over 1°, 0 to 1.
 
-        A mould that opens upwards does not let go of it.
+        A mould that opens upwards does not let go of such a surface.
         """
         area, size = self.areas(self.contact_faces)
         up = area[:, 2] > UPWARDS * size
@@ -203,7 +203,7 @@ class TetMesh:
 
     @property
     def hollows(self) -> int:
-        """Closed hollows within: parts of the surface but for the outer one."""
+        """Number of closed hollows inside the sole."""
         a, b = face_edges(self.boundary_faces).T
         _, part = connected(len(self.nodes), a, b)
         return len(np.unique(part[a])) - 1
@@ -225,7 +225,7 @@ class TetMesh:
         return 3.0 * np.sign(V) * (3.0 * np.abs(V)) ** (2 / 3) / away
 
     def quality_gradient(self, share: np.ndarray) -> np.ndarray:
-        """∂/∂nodes of Σ share · quality [1/m], (n, 3); no volume may be 0."""
+        """∂(Σ share · quality)/∂nodes [1/m], (n, 3); no volume may be 0."""
         # Those of a soft minimum are nothing at most elements.
         felt = np.abs(share) > _UNFELT * np.abs(share).max()
         part = replace(self, tets=self.tets[felt])
@@ -244,7 +244,7 @@ class TetMesh:
         return x - 0.25 * np.einsum("eai->ei", x)[:, None]
 
     def edges(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes of every edge, lower first, (k, 2); each tet's six, (e, 6)."""
+        """Nodes of each edge, lower first, (k, 2); each tet's edges, (e, 6)."""
         pairs = np.sort(self.tets[:, EDGES], axis=-1).reshape(-1, 2)
         n = len(self.nodes)
         code, owner = np.unique(pairs @ [n, 1], return_inverse=True)
@@ -632,7 +632,7 @@ _DEGREE = 2
 
 @dataclass(frozen=True)
 class SphericalSpline:
-    """The spline's bookkeeping: knots, tied poles, fixed top.
+    """A spline over directions that scales a sole: X' = s(θ, φ) X.
 
     >>> import numpy as np
     >>> import drake_exo as dx
@@ -640,16 +640,16 @@ class SphericalSpline:
     >>> spline.deform(np.array([[0.1, 0.0, -0.02]]), np.full(spline.count, 1.5))
     array([[ 0.15,  0.  , -0.03]])
 
-    Of (n_θ + 2)(n_φ + 2) coefficients each pole's are one, which leaves
-    (n_θ + 2) n_φ + 2 free ones (122 at the paper's spacing π/10). With the top
-    surface fixed the first and last θ rows and the poles are 1, which leaves
-    n_θ n_φ (100).
+    There are (n_θ + 2)(n_φ + 2) coefficients. All those of a pole are tied into
+    one, which leaves (n_θ + 2) n_φ + 2 free ones (122 at the paper's spacing
+    π/10). With the top surface fixed, the first and last θ rows and the poles
+    are held at 1, which leaves n_θ n_φ free ones (100).
 
     Attributes:
         intervals: Number of knot intervals over [-π/2, π/2] in θ and φ.
         fixed_top: Keep the top surface as it is (the paper's case 5).
         symmetric: Left and right alike: s(−θ, φ) = s(θ, φ).
-        kept: Of all coefficients, θ-major, further ones that are 1.
+        kept: Indices, θ-major, of further coefficients that are held at 1.
     """
 
     intervals: tuple[int, int] = (10, 10)
@@ -704,7 +704,7 @@ class SphericalSpline:
         return T, (column < 0).astype(float)
 
     def around(self, points: np.ndarray) -> tuple[int, ...]:
-        """The coefficients that any of some points feels, and are free."""
+        """Indices of the free coefficients that move any of some points."""
         felt = self._full(points).any(axis=0) & (self._column >= 0)
         return tuple(np.flatnonzero(felt).tolist())
 
@@ -716,18 +716,18 @@ class SphericalSpline:
         return np.einsum("nj,nk->njk", N_theta, N_phi).reshape(len(points), -1)
 
     def basis(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Scale s = M p + s0 at the nodes: M (n, count), s0 (n,)."""
+        """M (n, count) and s0 (n,) of the scale s = M p + s0 at the nodes."""
         full = self._full(nodes)
         T, p0 = self.free_map()
         return full @ T, full @ p0
 
     def stretch(self, nodes: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Factor s in the directions of points, deformed or not (n,)."""
+        """Factor s in the directions of points, deformed or not, (n,)."""
         M, s0 = self.basis(nodes)
         return M @ p + s0
 
     def deform(self, nodes: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Node positions X' of the shape with free coefficients p."""
+        """Positions X' of the nodes in the shape of free coefficients p."""
         return self.stretch(nodes, p)[:, None] * nodes
 
 

@@ -187,10 +187,10 @@ _TOGETHER = 16  # samples whose displacements are computed at a time
 
 @dataclass
 class Step:
-    """A sole through one contact phase of N samples.
+    """A simulated sole at the N samples of a step.
 
-    What `Case.simulate` returns. World frame: x forward, y left, z up; SI
-    units. A sample that did not converge has NaN stiffness.
+    `Case.simulate` returns it. World frame: x forward, y left, z up; SI units.
+    A sample that did not converge has NaN stiffness.
 
     >>> import drake_exo as dx
     >>> step = dx.soles.Case.from_text(dx.soles.EXAMPLE).simulate()
@@ -202,10 +202,10 @@ class Step:
 
     Attributes:
         setup: What was simulated: settings, load, mesh, start.
-        sole: Its finite elements.
+        sole: The finite elements of the sole.
         law: The contact law.
-        history: Nodal forces, poses and convergence as they were computed.
-        seconds: What took how long.
+        history: Nodal forces, poses and convergence of every sample.
+        seconds: Computing times by name [s].
     """
 
     setup: Setup
@@ -225,7 +225,7 @@ class Step:
     def of(
         cls, setup: Setup, progress: Callable[[int, int], None] | None = None
     ) -> "Step":
-        """Simulate a case by the contact law and method that it asks for."""
+        """Simulate a case by the exact contact law and the case's method."""
         began = time.perf_counter()
         sole = setup.sole()
         r = sole.penalty
@@ -243,7 +243,8 @@ class Step:
     ) -> "Step":
         """Simulate a sole by the exact law, with the law's scale r [N/m].
 
-        By the case's method; again where further nodes get to the ground.
+        The method is the case's. Where nodes reach the ground that were not
+        expected to, the sole is simulated again with all its bare nodes.
         """
         law = ContactLaw(setup.settings.contact.friction, r)
         kinds = {"newton": ContactSolver, "gauss_seidel": GaussSeidelSolver}
@@ -261,12 +262,12 @@ class Step:
 
     @property
     def times(self) -> np.ndarray:
-        """Of the samples [s], (N,)."""
+        """Times of the samples [s], (N,)."""
         return self.setup.load.times
 
     @property
     def force(self) -> np.ndarray:
-        """Of the ground on the sole, its nodes' sum [N], (N, 3)."""
+        """Force of the ground on the sole, summed over nodes [N], (N, 3)."""
         return self.history.F.sum(axis=1)
 
     @property
@@ -285,15 +286,19 @@ class Step:
 
     @property
     def free_moment(self) -> np.ndarray:
-        """Of the contact forces about the vertical through it [N·m], (N,)."""
+        """Moment of the contact forces about the vertical through the ZMP.
+
+        In N·m, (N,).
+        """
         arm = self.history.P - self._zmp_on_ground[:, None]
         return np.cross(arm, self.history.F)[:, :, 2].sum(axis=1)
 
     @property
     def zmp_error(self) -> float:
-        """Distance of the ZMP from the load's, RMS of what converged [m].
+        """RMS distance of the ZMP from the load's, over prescribed poses [m].
 
-        Of prescribed poses: where they are free it is the load's.
+        Only samples that converged count; where poses are free the ZMP is the
+        load's.
         """
         load = self.setup.load
         off = (self.zmp - load.zmp)[self.converged & load.is_measured]
@@ -321,24 +326,27 @@ class Step:
 
     @property
     def pressure(self) -> np.ndarray:
-        """At the m nodes that may touch, over their area [Pa], (N, m)."""
+        """Pressure at the m nodes that may touch [Pa], (N, m).
+
+        Upward force over the node's area at rest.
+        """
         return self.history.F[:, :, 2] / self.sole.mesh.contact_areas
 
     @property
     def pressed(self) -> float:
-        """Largest upward force over Young's modulus and the sole's area."""
+        """Largest upward force over Young's modulus times the sole's area."""
         area = self.sole.mesh.contact_areas.sum()
         stiff = self.sole.material.youngs_modulus_pa * area
         return float(self.setup.load.force[:, 2].max() / stiff)
 
     @property
     def touching(self) -> np.ndarray:
-        """Which of these nodes carry load, (N, m)."""
+        """Which of the m nodes that may touch carry load, (N, m)."""
         return self.history.F[:, :, 2] > 0
 
     @property
     def stiffness(self) -> np.ndarray:
-        """K_c about `zmp`, (N, 6, 6): [dF; dΓ] = K_c [dO; dω].
+        """Stiffness K_c about `zmp`, (N, 6, 6): [dF; dΓ] = K_c [dO; dω].
 
         dO [m] moves the point of the sole that lies at the ZMP, dω [rad]
         turns the sole about it.
@@ -347,19 +355,20 @@ class Step:
 
     @property
     def sigma_max_translation(self) -> np.ndarray:
-        """Largest singular value of its translational block [N/m], (N,)."""
+        """Largest singular value of K_c's translational block [N/m], (N,)."""
         return sigma_max_translation(self.history.K_c)
 
     @property
     def sigma_min_rotation(self) -> np.ndarray:
-        """Least singular value of its rotational block [N·m/rad], (N,)."""
+        """Least singular value of K_c's rotational block [N·m/rad], (N,)."""
         return sigma_min_rotation(self.history.K_c)
 
     @property
     def stability(self) -> np.ndarray:
-        """Least eigenvalue of −K_c, lengths over 0.05 m [N/m], (N,).
+        """Least eigenvalue of −K_c with lengths over 0.05 m [N/m], (N,).
 
-        Above 0 is sufficient for stability under a dead wrench.
+        Above 0 suffices for stability under a force and moment that stay as
+        they are.
         """
         return stability(self.history.K_c)
 
@@ -375,7 +384,7 @@ class Step:
 
     @property
     def heel_strike(self) -> int:
-        """Number of samples of heel strike, the first of the (first) load."""
+        """Number of samples of heel strike; of several loads, in the first."""
         return strikes(self.setup)[0][1]
 
     @cached_property
@@ -394,7 +403,7 @@ class Step:
         )
 
     def loads(self) -> list[dict]:
-        """Figures of every contact phase, as they are in summary.json."""
+        """Figures of every contact phase, as in summary.json."""
         load, w = self.setup.load, self.setup.settings.cost.weight
         early, out = strikes(self.setup), []
         for k, share in enumerate(load.shares):
@@ -420,18 +429,22 @@ class Step:
     def c_tr(self) -> float:
         """Sum of `sigma_max_translation` over heel strike [N/m].
 
-        Of several loads it and c_rot are weighted means of their sums.
+        With several loads, c_tr and c_rot are weighted means of the loads'
+        sums.
         """
         return self.costs[0]
 
     @property
     def c_rot(self) -> float:
-        """Sum of `sigma_min_rotation` over a load's samples [N·m/rad]."""
+        """Sum of `sigma_min_rotation` over all samples [N·m/rad].
+
+        With several loads a weighted mean, as `c_tr`.
+        """
         return self.costs[1]
 
     @property
     def c(self) -> float:
-        """The cost c_tr − w c_rot, w of the case."""
+        """The cost c_tr − w c_rot, with the case's w."""
         return self.costs[2]
 
     @cached_property
@@ -451,9 +464,9 @@ class Step:
     def complementarity(self) -> float:
         """Largest violation of Signorini's and Coulomb's laws, normalised.
 
-        Forces by |F| of the sample, lengths by |F|/r: negative force, gap,
-        force times gap, force outside the cone, and force not opposite to the
-        slip.
+        The violations are negative force, penetration, force times gap, force
+        outside the cone, and force not opposite to the slip. Forces are over
+        |F| of the sample, lengths over |F|/r.
         """
         history, law, setup = self.history, self.law, self.setup
         worst, phase, before = 0.0, None, None
@@ -488,11 +501,11 @@ class Step:
         return float(worst)
 
     def verdict(self, accepted: Sequence[str] = ()) -> Verdict:
-        """What the step has to hold, and whether it does or is accepted."""
+        """The checks of the step, and whether each holds or is accepted."""
         return Verdict(step_checks(self), tuple(accepted))
 
     def table(self) -> dict[str, np.ndarray]:
-        """Columns over time, by name with unit, (N,) each."""
+        """Columns over time by name, units in the names, (N,) each."""
         load, reports = self.setup.load, self.history.reports
         angles = np.rad2deg(self.angles)
         columns = {"time_s": load.times}
@@ -530,7 +543,7 @@ class Step:
         }
 
     def summary(self) -> dict:
-        """What summary.json says of the simulation (no seconds)."""
+        """What summary.json says of the simulation, without its times."""
         margin, mesh = self.stability, self.sole.mesh
         density = self.sole.material.density_kg_per_m3
         loads = self.loads()
@@ -585,7 +598,7 @@ class Step:
         }
 
     def plot(self, label: str = "", **beside: "Step"):
-        """Both stiffnesses over time, and other steps' by label; a figure."""
+        """Figure of both stiffnesses over time, and other steps' by label."""
         # matplotlib takes half a second to load.
         from drake_exo.soles import pictures
 
@@ -601,12 +614,12 @@ class Step:
     def write_animation(
         self, path: Path | str, mark: str = "", **beside: "Step"
     ) -> None:
-        """Write a page that plays the step, and others by label.
+        """Write an HTML page that plays the step, beside others by label.
 
         Args:
             path: Of the page.
-            mark: `Verdict.mark` of what does not hold.
-            beside: The others.
+            mark: `Verdict.mark`, the line on what does not hold.
+            beside: The other steps.
         """
         from drake_exo.soles.animation import SoleMotion, write_animation
 
@@ -624,12 +637,13 @@ class Step:
     def draw(
         self, folder: Path, mark: str, label: str = "", **beside: "Step"
     ) -> None:
-        """All pictures of the step and its animation.
+        """Write all pictures of the step, and its animation.
 
         Args:
-            folder: Where to.
-            mark: `Verdict.mark` of what does not hold.
-            label: Of this step in stiffness.png, with others `beside` it.
+            folder: Where to write them.
+            mark: `Verdict.mark`, the line on what does not hold.
+            label: Name of this step in stiffness.png, where others are shown
+                `beside` it.
         """
         from drake_exo.soles import pictures
 
@@ -653,7 +667,7 @@ class Step:
         self.write_animation(folder / "animation.html", mark)
 
     def write_tables(self, table: Path, history: Path) -> None:
-        """Write what there is of every sample."""
+        """Write the table and the history of all samples."""
         write_csv(table, self.table())
         write_history(
             history, self.sole.mesh, self.times, self.history,
@@ -666,11 +680,11 @@ class Step:
         seconds: dict | None = None,
         accepted: Sequence[str] = (),
     ) -> Verdict:
-        """Tables, arrays, pictures, animation and, last, summary.json.
+        """Write tables, arrays, pictures, animation and, last, summary.json.
 
         Args:
-            folder: Where to; made where it is not there.
-            seconds: Further times to note there.
+            folder: Where to write; made if it does not exist.
+            seconds: Further computing times to note in summary.json.
             accepted: Names of checks that the user accepts.
         """
         began, verdict = time.perf_counter(), self.verdict(accepted)
@@ -705,15 +719,15 @@ def strikes(setup: Setup) -> list[tuple[int, int]]:
 
 
 class SoleSamples(NamedTuple):
-    """A sole as a whole at the N samples that converged.
+    """A sole as a rigid whole at the N samples that converged.
 
     Attributes:
         origin: Place of the sole frame [m], (N, 3).
-        rotation: Its orientation, (N, 3, 3).
-        force: Of the ground, upwards [N], (N,).
+        rotation: Orientation of the sole frame, (N, 3, 3).
+        force: Upward force of the ground [N], (N,).
         cop: Centre of pressure [m], (N, 2).
         size: Length, width and depth of the sole below its frame [m], (3,).
-        middle: Of the sole in its frame, forward and left [m], (2,).
+        middle: Middle of the sole in its frame, forward and left [m], (2,).
         friction: Coulomb's coefficient μ.
     """
 
@@ -727,7 +741,9 @@ class SoleSamples(NamedTuple):
 
 
 def sole_samples(source: Step | Path | str) -> SoleSamples:
-    """What a step, or its folder, says of a sole as a whole.
+    """Poses, forces and centres of pressure of a step, to reduce the sole by.
+
+    `drake_exo.contact.reduce_sole` takes them.
 
     >>> import drake_exo as dx
     >>> step = dx.soles.Case.from_text(dx.soles.EXAMPLE).simulate()
@@ -739,8 +755,8 @@ def sole_samples(source: Step | Path | str) -> SoleSamples:
         source: A step, or the folder of `Step.write` or `Design.write`.
 
     Raises:
-        InputError: There is no such file, it is damaged, or of a version that
-            did not say μ; no sample converged; the ground is not flat.
+        InputError: The folder's file is missing, damaged, or of a version that
+            did not store μ; no sample converged; or the ground is not flat.
     """
     remedy = "simulate the sole again"
     if isinstance(source, Step):

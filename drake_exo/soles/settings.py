@@ -278,7 +278,7 @@ class OptimizeBlock:
 
 @dataclass(frozen=True)
 class Settings:
-    """Everything that a case file says; its fields are its keys.
+    """Everything that a case file says; the fields are the file's keys.
 
     >>> import drake_exo as dx
     >>> case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
@@ -315,7 +315,7 @@ class Settings:
 
     @property
     def all_loads(self) -> tuple[LoadBlock, ...]:
-        """One or more."""
+        """The entries of `loads`, or the one `load`."""
         return self.loads or (self.load,)
 
     @property
@@ -326,10 +326,10 @@ class Settings:
         return [file for file in found if file is not None]
 
     def walking_on(self, places: np.ndarray) -> "Settings":
-        """With the bounds of walking patterns' ZMP on a sole.
+        """Settings whose walking patterns keep the ZMP inside a sole.
 
         Args:
-            places: Of its nodes in its frame [m], (m, 2).
+            places: Places of the sole's nodes in its frame [m], (m, 2).
         """
         load, *loads = (
             block if block is None or block.pattern is None
@@ -343,12 +343,13 @@ class Settings:
         """Read a case file alone, not the files that it names.
 
         Raises:
-            InputError: With file, line, key and remedy.
+            InputError: It cannot be read; the message has file, line, key and
+                remedy.
         """
         return schema.load(path, cls)
 
     def read_mesh(self, root: Path, replacement: Path | None = None) -> TetMesh:
-        """The case's mesh, or that of a file given instead."""
+        """Read the case's mesh, or the file given instead of it."""
         block = self.mesh
         if replacement is None and block.brick is not None:
             return brick(block.brick.size_m, block.brick.divisions)
@@ -362,11 +363,11 @@ class Settings:
         return sole_from_surface(surface, block.tets, block.top_m, origin)
 
     def start_pose(self, mesh: TetMesh, ground: Ground = FLAT) -> Start:
-        """How the sole is held; by default at its lowest back edge.
+        """How the sole is held until contact.
 
-        The default point is the middle of the lower back edge of the
-        mesh's bounding box, held where a level sole at the world's origin
-        has it.
+        By default the held point is the middle of the lower back edge of the
+        mesh's bounding box, at the place it has in a level sole at the world's
+        origin.
         """
         point = self.start.point_in_sole_m
         least, largest = mesh.nodes.min(0), mesh.nodes.max(0)
@@ -415,12 +416,14 @@ class Setup:
         mesh_file: Path | None = None,
         read_step: StepReader | None = None,
     ) -> "Setup":
-        """What settings name, read, paths from a folder; see `Case.read`.
+        """Read the files that settings name, relative to a folder.
+
+        See `Case.read` for the arguments.
 
         Raises:
             InputError: A file cannot be read, the ZMP leaves the sole, or
-                the force the friction cone; a fixed patch holds none of the
-                sole, or all.
+                the force leaves the friction cone; a fixed patch holds none
+                of the sole, or all of it.
         """
         root, friction, ground = (
             path_of(data_root, "data_root"),
@@ -454,18 +457,18 @@ class Setup:
         return setup if mesh_file is None else setup.on_own_mesh()
 
     def check_load(self) -> None:
-        """Refuse what no pose of the sole answers.
+        """Refuse a load that no pose of the sole can carry.
 
         Raises:
-            InputError: The ZMP leaves the sole, or the force the friction
-                cone.
+            InputError: The ZMP leaves the sole, or the force leaves the
+                friction cone.
         """
         self.load.check_inside(self.level)
         self.load.check_friction(self.settings.contact.friction, self.up)
 
     @property
     def gait(self) -> Gait | None:
-        """Its walk, where something of that is free."""
+        """The walk to be sought with the sole; None if none of it is free."""
         pattern = self.settings.load and self.settings.load.pattern
         if not (pattern and pattern.free):
             return None
@@ -473,23 +476,23 @@ class Setup:
 
     @property
     def name(self) -> str:
-        """Of the case."""
+        """The case's name."""
         return self.settings.name
 
     @property
     def level(self) -> np.ndarray:
-        """Nodes that may touch as the sole is set down level [m], (m, 2)."""
+        """Places of the nodes that may touch, the sole level [m], (m, 2)."""
         places = self.mesh.nodes[self.mesh.contact]
         return self.start.places(np.eye(3), places)[:, :2]
 
     @property
     def up(self) -> np.ndarray:
-        """Normal of the ground on the whole, (3,)."""
+        """Normal of the plane that fits the ground below the sole, (3,)."""
         return self.ground.normal(self.level)
 
     @property
     def friction_used(self) -> float:
-        """Largest force along over across the ground on the whole."""
+        """Largest ratio of tangential to normal force, on the plane of `up`."""
         return float(self.load.friction_used(self.up).max())
 
     @property
@@ -500,7 +503,7 @@ class Setup:
         return {"ground": self.ground.summary(self.level)}
 
     def sole(self, mesh: TetMesh | None = None) -> Sole:
-        """Mesh, by default the case's, and material as finite elements."""
+        """Finite elements of the case's material, by default on its mesh."""
         block = self.settings
         return Sole(
             self.mesh if mesh is None else mesh,
@@ -509,10 +512,10 @@ class Setup:
         )
 
     def spline(self) -> SphericalSpline:
-        """Of shapes: its coefficients that are free.
+        """The spline of shapes, with the coefficients that are free.
 
         Raises:
-            InputError: A fixed patch holds none of the surface, or all.
+            InputError: A fixed patch holds none of the surface, or all of it.
         """
         block, meshes = self.settings.optimize, [self.mesh]
         if self.mesh.is_block:
@@ -561,23 +564,28 @@ class Setup:
         )
 
     def without_limits(self) -> "Setup":
-        """The paper's own problem: stability, tilt and strain are free."""
+        """The paper's problem: without limits on stability, tilt and strain."""
         return self.optimizing(
             stability_n_per_m=None, tilt_deg=None, strain=None
         )
 
     def with_iterations(self, iterations: int | None) -> "Setup":
-        """At most so many in the last stage; None: the case's.
+        """The same with a largest number of iterations in the last stage.
+
+        None leaves the case's.
 
         Raises:
-            InputError: that is no whole number from 0 on.
+            InputError: It is not a whole number from 0 on.
         """
         if iterations is None:
             return self
         return self._with_last_stage(iterations=iterations)
 
     def on_own_mesh(self) -> "Setup":
-        """The last stage on the mesh at hand; all, where it is no brick."""
+        """The same, with the last stage on its own mesh.
+
+        All stages are where that is no brick.
+        """
         if self.mesh.is_block:
             return self._with_last_stage(divisions=None)
         stages = self.settings.optimize.stages
@@ -590,10 +598,10 @@ class Setup:
         return self.optimizing(stages=(*stages, replace(last, **changes)))
 
     def optimizing(self, **changes) -> "Setup":
-        """Other keys of the block `optimize`.
+        """The same with other values for keys of the block `optimize`.
 
         Raises:
-            InputError: a file could not say them.
+            InputError: A case file could not have these values.
         """
         block = replace(self.settings.optimize, **changes)
         block = schema.check(block, OptimizeBlock, f"{self.name}: optimize")

@@ -52,9 +52,9 @@ _ROUNDING = 0.01  # of a limit: the smoothed law on the way is not exact
 
 @dataclass
 class Design:
-    """An optimised sole beside the initial shape, both by the exact law.
+    """An optimised sole and its initial shape, both by the exact law.
 
-    What `Case.optimize` returns.
+    `Case.optimize` returns it.
 
     >>> import drake_exo as dx
     >>> best = dx.soles.Case.from_text(dx.soles.EXAMPLE).optimize()
@@ -66,18 +66,21 @@ class Design:
     Attributes:
         setup: The case.
         problem: The last stage's problem; it gives cost, limits and
-            derivatives of any variables.
+            derivatives at any variables.
         variables: Coefficients of the spline; then, where a walk was sought
-            with the sole, its numbers, from 0 to 1 in their ranges, (P,).
-        step: The design through the step, from a cold start.
-        first: The initial shape likewise.
-        optima: Outcome of every stage; where a walk was sought of those that
-            moved it, or of the sole alone, where that is the design.
-        stages_seconds: What each took.
-        starts: Cost and violation that every start, or walk that was tried,
-            has led to, after which stage, and the cost on a finer mesh.
-        seconds: What all of it took.
-        gait: The walk that was sought with it: numbers before and after.
+            with the sole, the walk's numbers, each from 0 to 1 in its range,
+            (P,).
+        step: The design simulated through the step, from a cold start.
+        first: The initial shape, simulated likewise.
+        optima: Outcome of every stage. Where a walk was sought, only of the
+            stages that moved it, or of the sole alone if that is the design.
+        stages_seconds: Computing time of each stage [s].
+        starts: For every start (or walk that was tried) the cost and
+            violation it led to, after which stage, and the cost on a finer
+            mesh.
+        seconds: Computing time of the whole search [s].
+        gait: The walk that was sought with the sole, its numbers before and
+            after; None where none was.
     """
 
     setup: Setup
@@ -100,17 +103,17 @@ class Design:
 
     @property
     def coefficients(self) -> np.ndarray:
-        """Of the spline."""
+        """Free coefficients of the spline, (k,)."""
         return self.variables[: self.shape.count]
 
     @property
     def walk(self) -> np.ndarray:
-        """What was sought of a walk, none or (G,)."""
+        """Numbers of the walk that was sought, (G,); empty if none was."""
         return self.variables[self.shape.count :]
 
     @property
     def mesh(self) -> TetMesh:
-        """Of the design."""
+        """Mesh of the optimised sole."""
         return self.step.sole.mesh
 
     @property
@@ -123,10 +126,10 @@ class Design:
 
     @property
     def history(self) -> dict[str, np.ndarray]:
-        """Iterations of all stages, (K,) each.
+        """The K iterations of all stages: columns by name, (K,) each.
 
-        stage, iteration, cost (c/|c̄| and regularization), violation,
-        dual_infeasibility.
+        The columns are stage, iteration, cost (c/|c̄| plus regularization),
+        violation and dual_infeasibility.
         """
         rows = [
             [best.stage + 1, *row] for best in self.optima for row in best.trace
@@ -150,7 +153,7 @@ class Design:
         return {"c_smoothed": c, "exact_change": self.step.c / c - 1}
 
     def summary(self) -> dict:
-        """What summary.json says of it, but for checks and seconds."""
+        """What summary.json says of the design, without checks and times."""
         now, first = self.step.summary(), self.first
         row = {
             key: now[key]
@@ -204,7 +207,7 @@ class Design:
         return replace(limits, moving=all_nodes).measures(self.mesh)
 
     def active(self) -> list[str]:
-        """Names of the limits that hold the design, and of what is kept."""
+        """Names of the active limits, and of what the shape has to keep."""
         values = self.problem.constraints(self.variables)
         names = [
             name
@@ -219,7 +222,10 @@ class Design:
 
     @property
     def spread(self) -> float | None:
-        """Of the feasible optima that went furthest; None for but one."""
+        """Range of cost of the feasible starts that went furthest.
+
+        Relative to the best; None where there are fewer than two.
+        """
         stages = [row.get("stage", 1) for row in self.starts]
         costs = [
             row["cost"]
@@ -231,11 +237,12 @@ class Design:
         return (max(costs) - min(costs)) / abs(min(costs))
 
     def check_finer(self) -> dict | None:
-        """The design on a finer mesh, beside the initial shape.
+        """Simulate the design and the initial shape on a finer mesh.
 
-        See `finer_mesh`. `change` and `brick_change` (of the initial shape) are
-        those of c against the last stage's mesh; NaN where the design turns
-        finer elements over. None where they were too many.
+        See `finer_mesh`. `change` (of the design) and `brick_change` (of the
+        initial shape) say how much c differs from that on the last stage's
+        mesh; NaN where the shape turns finer elements over. Returns None where
+        a finer mesh would have too many elements.
         """
         last = self.setup.settings.optimize.stages[-1]
         base = finer_mesh(self.setup.mesh, last)
@@ -259,11 +266,11 @@ class Design:
         return out
 
     def plot(self):
-        """Both stiffnesses over time beside the initial shape's, a figure."""
+        """Figure of both stiffnesses over time, beside the initial shape's."""
         return self.step.plot("optimised", initial=self.first)
 
     def write_animation(self, path: Path | str) -> None:
-        """Write a page that plays the step of both shapes."""
+        """Write an HTML page that plays the step of both shapes."""
         self.step.write_animation(
             path, self.verdict().mark, **{"initial shape": self.first}
         )
@@ -271,13 +278,14 @@ class Design:
     def verdict(
         self, accepted: Sequence[str] = (), finer: dict | None = None
     ) -> Verdict:
-        """What the design has to hold, and whether it does.
+        """The checks of the design, and whether each holds or is accepted.
 
-        Besides the step's checks: the case's limits, by the exact law.
+        Besides the checks of its step, these are the case's limits by the
+        exact law, and notes on the search.
 
         Args:
             accepted: Names of checks that the user accepts.
-            finer: What `check_finer` has found, if it has been asked.
+            finer: What `check_finer` returned, if it was called.
         """
         limits, name = self.problem.limits, self.setup.name
         surface = self.problem.surface.measures(self.mesh)
@@ -355,14 +363,17 @@ class Design:
         say: Callable[[str], object] | None = None,
         accepted: Sequence[str] = (),
     ) -> dict:
-        """Write all results and, last, summary.json; what that says.
+        """Write all results and, last, summary.json.
 
-        The design is checked on a finer mesh and in finite strain before.
+        Before that, the design is checked on a finer mesh and in finite strain.
 
         Args:
-            folder: Where to; made if it is not there.
+            folder: Where to write; made if it does not exist.
             say: Called with one line of progress now and then.
             accepted: Names of checks that the user accepts.
+
+        Returns:
+            What summary.json holds.
         """
         folder, began = path_of(folder, "folder"), time.perf_counter()
         folder.mkdir(parents=True, exist_ok=True)

@@ -197,7 +197,7 @@ _SHOWN = (*_COSTS, *_SIZES, "optimal", "stable")
 
 @dataclass
 class StoredDesign:
-    """An optimised sole as its folder holds it.
+    """An optimised sole, read from the folder that holds it.
 
     >>> import tempfile
     >>> import drake_exo as dx
@@ -210,8 +210,9 @@ class StoredDesign:
     ('example', True)
 
     Attributes:
-        folder: Where it lies.
-        setup: Its settings with the start filled in, its mesh, its load.
+        folder: The folder.
+        setup: The case's settings with the start filled in, the optimised
+            mesh, and the load.
     """
 
     folder: Path
@@ -226,10 +227,10 @@ class StoredDesign:
         return self.setup.name
 
     def summary(self) -> dict:
-        """Its summary.json.
+        """The contents of summary.json.
 
         Raises:
-            InputError: It lacks a figure that reports show.
+            InputError: A figure that reports show is missing.
         """
         found = read_summary(self.folder)
         for key in _SHOWN:
@@ -241,7 +242,7 @@ class StoredDesign:
         return found
 
     def history(self) -> dict[str, np.ndarray]:
-        """Columns of its history.csv, see `TRACE`.
+        """The columns of history.csv by name, see `TRACE`.
 
         Raises:
             InputError: It is missing or damaged.
@@ -250,7 +251,7 @@ class StoredDesign:
         return read_columns(path, TRACE, may_be_empty=True)
 
     def shape(self) -> tuple[SphericalSpline, np.ndarray]:
-        """Its spline and free coefficients.
+        """The spline of the shape, and its free coefficients.
 
         Raises:
             InputError: design.json is missing or damaged.
@@ -290,7 +291,7 @@ def write_case(folder: Path, settings: Settings, start: Start) -> None:
 
 
 def find_designs(folder: Path | str) -> list[StoredDesign]:
-    """The design in a folder, or those in a study's folders, in order.
+    """Read the design in a folder, or those of a study, in its order.
 
     >>> import drake_exo as dx
     >>> dx.soles.find_designs("nowhere")

@@ -1,15 +1,15 @@
 """The search for a shape: several starts, then stage by stage.
 
 After each stage but the last the better half of the starts goes on (successive
-halving: Jamieson and Talwalkar, AISTATS 2016), by what they cost on a finer
-mesh: what a design wins by its elements is lost there. Where a walk is free the
-sole for the case's own one is found so; from that, sole and walk move together,
-from several walks, the best of which goes on. Ctrl-C leaves the best so far on
-disk.
+halving: Jamieson and Talwalkar, AISTATS 2016). Starts are compared by their
+cost on a finer mesh: a gain that a design owes to the elements of its own mesh
+does not survive there. Where a walk is free, this search finds the sole for the
+case's own walk. From that sole, sole and walk then move together from several
+walks, and the best of these goes on. Ctrl-C leaves the best so far on disk.
 
-The front: c_tr alone under c_rot >= floor, from the lowest floor to the
-highest, the first from the case's own optimum, each further one from the point
-before with what was learnt of the curvature.
+The front minimises c_tr alone under c_rot >= floor, from the lowest floor to
+the highest. The first point begins at the case's own optimum, each further one
+at the point before, with what was learnt of the curvature.
 """
 
 import shutil
@@ -568,7 +568,7 @@ def pareto_front(
     stages: tuple[Stage, Stage] = FRONT_STAGES,
     points: list[dict] | None = None,
 ) -> list[dict]:
-    """Least c_tr for every floor of c_rot, lowest first.
+    """Find the least c_tr above every floor of c_rot, lowest floor first.
 
     >>> import drake_exo as dx
     >>> case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
@@ -578,17 +578,19 @@ def pareto_front(
     ('example', 0.9, 0)
 
     Args:
-        setup: A sole and its step.
-        floors: Of c_rot, over the initial shape's.
+        setup: A case: a sole and its step.
+        floors: Least values of c_rot, as ratios to the initial shape's.
         say: Called with one line of progress now and then.
-        stages: For the case's own optimum, and for every point; on the case's
-            mesh, where that is no brick.
-        points: Filled as they are found, where somebody may stop it.
+        stages: One for the case's own optimum, and one for every point. A
+            mesh that is no brick is used as it is, whatever they say.
+        points: List to fill as points are found, so that an interrupted
+            search leaves them.
 
     Returns:
-        For every floor: case, floor, c_tr [N/m], c_rot [N·m/rad] and their
-        ratios to the initial shape's by the exact law, ratio_tr and
-        ratio_rot; coefficients; optimality_error; violation; failed_steps.
+        For every floor: case, floor, c_tr [N/m] and c_rot [N·m/rad] by the
+        exact law, their ratios to the initial shape's (ratio_tr and
+        ratio_rot), coefficients, optimality_error, violation and
+        failed_steps.
 
     Raises:
         InputError: The first design cannot be simulated.
