@@ -31,8 +31,7 @@ HEAD = """\
 
 Made by `python docs/make_study_keys.py`; how to write a study is in
 [your own data](your_data.md). A dash as default means that the key must be
-given. Keys ending in `_deg` are in degrees; everything else is SI. Values over
-both legs are sums.
+given. Values that concern both legs are sums over them.
 """
 
 # Longest first: a name ends in the first of these that fits.

@@ -29,7 +29,7 @@ CLOCKS = {"encoders": "encoder_clock", "pressure": "mat_clock"}
 
 @dataclass(frozen=True)
 class ErrorSizes:
-    """Standard deviation of each systematic error; 0 for one that is none.
+    """Standard deviation of each systematic error; 0 for no such error.
 
     Attributes:
         skin: turn of a segment's markers for each radian of flexion of a
@@ -38,13 +38,14 @@ class ErrorSizes:
             J. Biomechanics 46, 2013), and reach 3 to 8 degrees in a deep
             flexion (Peters et al., Gait & Posture 31, 2010).
         skin_bend: likewise, for each square radian.
-        encoder_offset_deg: of each of the device's joints: how far its zero
-            is from where the person stands upright.
-        mat_share: of a cuff's force that its mats do not see.
-        mat_offset_n: of a cuff's mats at rest.
-        friction: of a device's friction that a bench identified, as a share.
-        encoder_clock_s, mat_clock_s: what is left of the lag of each clock;
-            systems that are started by hand are up to 50 ms apart.
+        encoder_offset_deg: how far the zero of a joint's encoder is from its
+            angle while the person stands upright.
+        mat_share: share of a cuff's force that its mats do not measure.
+        mat_offset_n: offset of a cuff's mats at rest.
+        friction: error of the device's friction as a bench identified it, as a
+            share.
+        encoder_clock_s, mat_clock_s: lag that remains in this clock; systems
+            that are started by hand are up to 50 ms apart.
 
     >>> ErrorSizes(skin=0.0).encoder_offset_deg
     2.0

@@ -69,8 +69,9 @@ class Range:
     """A parameter, in the unit of its key.
 
     Attributes:
-        nominal: guess and prior mean; the value itself where not free.
-        lower, upper: bounds.
+        nominal: initial guess and prior mean; if not free, the value itself.
+        lower: lower bound.
+        upper: upper bound.
         free: whether it is calibrated.
 
     >>> Range(5e6, 1e6, 2e7).upper
@@ -101,8 +102,8 @@ class Spread:
     """A parameter whose nominal value the model gives.
 
     Attributes:
-        below, above: how far the bounds lie from it.
-        shift: added to the model's value.
+        below, above: how far this bound lies from the model's value.
+        shift: added to the model's value to give the nominal one.
         free: whether it is calibrated.
 
     >>> Spread(0.03, 0.03, shift=0.01).shift
@@ -121,10 +122,11 @@ class SphereSettings:
 
     Attributes:
         modulus_n_m2: plane-strain modulus E, both feet together [N/m^2].
-            The paper's law takes k = E^(2/3)/2 from it; bounds likewise.
+            The paper's law converts it, and its bounds, to k = E^(2/3)/2.
         dissipation_s_m: Hunt-Crossley dissipation [s/m].
-        x_m, z_m: place of the centre, about the model's heel or toe.
-        radius_m: coupled with z, so not free by default.
+        x_m, z_m: place of the centre, relative to the model's heel or toe.
+        radius_m: radius; not free by default, because its effect is hard to
+            tell from that of z.
 
     >>> soft = SphereSettings(modulus_n_m2=Range(2e6, 1e6, 2e7))
     >>> FootGroundSettings(heel=soft).heel.modulus_n_m2.nominal
@@ -156,19 +158,24 @@ class TrackingNoise:
     """Standard deviation of each signal's measurement; weights are 1/s^2.
 
     Attributes:
-        angle_deg, velocity_deg_s: human joints, by markers on skin.
-        exo_angle_deg, exo_velocity_deg_s: the exoskeleton's, by encoders.
-        foot_m, foot_pitch_deg: place of the foot.
-        foot_velocity_m_s, foot_pitch_rate_deg_s: its motion.
-        pelvis_m, pelvis_velocity_m_s: of the pelvis, where two legs hang on
-            it: hips lie beside each other in a plane alone.
-        force_n, cop_m: ground reaction and centre of pressure.
-        torque_nm: typical torque; large, so that torques are minimised
+        angle_deg, velocity_deg_s: angles and rates of the person's joints,
+            from markers on the skin.
+        exo_angle_deg, exo_velocity_deg_s: angles and rates of the
+            exoskeleton's joints, from encoders.
+        foot_m: place of the foot.
+        foot_pitch_deg: pitch of the foot.
+        foot_velocity_m_s: velocity of the foot.
+        foot_pitch_rate_deg_s: pitch rate of the foot.
+        pelvis_m, pelvis_velocity_m_s: place and velocity of the pelvis in a
+            model of two legs, whose hips share one place in the plane.
+        force_n: ground reaction.
+        cop_m: centre of pressure.
+        torque_nm: typical torque; it is large, so that torques are minimised
             without competing with what was measured.
-        jerk: typical jerk [rad/s^3 or m/s^3], likewise; much larger, and
-            the motion wiggles between the nodes, or a device swings on its
-            cuffs. Left out: three times the RMS of the person's joints in the
-            trials that calibrate, half of it in Phase C.
+        jerk: typical jerk [rad/s^3 or m/s^3], in the same role. If it is much
+            larger, the motion wiggles between the nodes, or a device swings on
+            its cuffs. If left out, three times the RMS jerk of the person's
+            joints in the calibration trials, and half of that in Phase C.
 
     >>> FootGroundSettings(noise=TrackingNoise(force_n=3.0)).noise.cop_m
     0.001
@@ -196,8 +203,8 @@ class EndTolerance:
 
     Attributes:
         x_m, z_m, pitch_deg: place and pitch of the foot.
-        velocity_m_s, pitch_rate_deg_s: its motion; null leaves it free, but
-            for being tracked.
+        velocity_m_s, pitch_rate_deg_s: velocity and pitch rate of the foot;
+            null leaves them free at the ends, where they are only tracked.
 
     >>> EndTolerance(x_m=0.02).z_m
     0.005
@@ -212,7 +219,9 @@ class EndTolerance:
 
 @dataclass(frozen=True)
 class PredictionEnds(EndTolerance):
-    """Of the foot at both ends; with free velocities it may throw the body up.
+    """How far the foot may be from what was measured at both ends.
+
+    With free velocities the foot might throw the body up.
 
     >>> PredictionEnds().velocity_m_s
     0.05
@@ -227,16 +236,16 @@ class Solver:
     """Grid and solver.
 
     Attributes:
-        nodes_per_second: mesh intervals per second.
+        nodes_per_second: intervals of the time grid per second.
         transcription: "hermite_simpson" (Drake's DirectCollocation) or
             "pseudospectral" (the paper's, degree 3).
-        reduce: substitute the collocation constraints' basis; the same
-            optimum with fewer unknowns.
-        hessian: "gauss_newton" or "exact".
+        reduce: whether to eliminate the linear collocation constraints; the
+            same optimum is found with fewer unknowns.
+        hessian: second derivatives: "gauss_newton" (approximate) or "exact".
         solver: "ipopt" (sparse derivatives) or "drake" (Drake's own
             IpoptSolver: slow, for small cases).
-        tolerance: of optimality and feasibility, scaled.
-        max_iterations: of one attempt.
+        tolerance: tolerance of optimality and feasibility, scaled.
+        max_iterations: largest number of iterations of one attempt.
 
     >>> FootGroundSettings(solver=Solver(nodes_per_second=50)).solver.tolerance
     1e-05
@@ -264,18 +273,20 @@ class FootGroundSettings:
     """Phase A.
 
     Attributes:
-        law: "simbody" or "paper" (whose friction has zero slope at zero
-            slip, which slows an optimiser down); or a file of
+        law: contact law: "simbody", or "paper" (whose friction has zero slope
+            at zero slip, which slows an optimiser down); or a file of
             `drake-exo sole reduce`: the feet then wear that sole, and nothing
             of it is calibrated.
         constants: friction and smoothing constants of the law by name.
-        spheres: of those that the model's `ground` names otherwise.
-        prior_weight: of the prior 1/2 w ((p - nominal)/span)^2.
+        heel: contact sphere at the heel.
+        toe: contact sphere at the toe.
+        spheres: contact spheres of other names in the model's `ground`.
+        prior_weight: weight w of the prior 1/2 w ((p - nominal)/span)^2.
         front: factors on the noise of forces and centre of pressure, for
             the Pareto front of kinematics against forces.
         sole_at_m: with a sole's law, place (x, z) of the sole's frame in the
-            foot's; left out, the sole lies in the middle of the foot's own
-            spheres, its bottom on the floor of the standing trial.
+            foot's. If left out, the sole lies in the middle of the foot's own
+            spheres, with its bottom on the floor of the standing trial.
 
     >>> FootGroundSettings(law="paper").law_constants().static_friction
     0.8
@@ -447,12 +458,14 @@ class BushingSettings:
     """One human-exoskeleton bushing.
 
     Attributes:
-        origin_x_m, origin_z_m: about the model's cuff, in the human segment.
-        tangential_n_m, normal_n_m, rotational_nm_rad: stiffness.
+        origin_x_m, origin_z_m: place in the human segment, relative to the
+            model's cuff.
+        tangential_n_m, normal_n_m, rotational_nm_rad: stiffness (tangential:
+            along the limb; normal: across it).
         slip_n: force along the limb at which the cuff slips; null for a
-            strap that never does, as in the paper.
-        tangential_damping, normal_damping, rotational_damping: constant
-            (paper, II-C).
+            strap that never slips, as in the paper.
+        tangential_damping, normal_damping, rotational_damping: damping; it is
+            not calibrated (paper, II-C).
 
     >>> BushingSettings().damping["normal_damping"]
     10.0
@@ -495,17 +508,17 @@ class BushingSettings:
 
 @dataclass(frozen=True)
 class InteractionNoise(TrackingNoise):
-    """Noise of the signals that Phases B and C track besides.
+    """Noise of the signals that Phases B and C track, beside those of Phase A.
 
     Attributes:
-        moment_nm: joint moments, human.
-        exo_moment_nm: joint moments, exoskeleton.
-        normal_force_n: resultant of a pressure mat beyond what `errors`
-            explain, as of an error that lasts a second: cells that round to
-            2.5 kPa together are 1 to 5 N off for a sixth of that, and no
+        moment_nm: moments of the person's joints.
+        exo_moment_nm: moments of the exoskeleton's joints.
+        normal_force_n: error of a mat's resultant force beyond what `errors`
+            explain, for an error that lasts a second. Cells that round to
+            2.5 kPa together are 1 to 5 N off for a sixth of a second, and no
             bushing is as linear as its model.
-        energy_j: typical contact energy of a component; what is minimised is
-            the square of the energy over this.
+        energy_j: typical contact energy of a component; the square of the
+            energy over this is minimised.
 
     >>> mats = InteractionNoise(normal_force_n=0.5)
     >>> InteractionSettings(noise=mats).noise.normal_force_n
@@ -523,15 +536,15 @@ class InteractionSettings:
     """Phase B, and the models of Phase C.
 
     Attributes:
-        shank, thigh, pelvis: of the cuffs of these names, on either leg.
-        cuffs: of those that the model's `cuffs` names otherwise.
+        shank, thigh, pelvis: the cuff of this name, on either leg.
+        cuffs: cuffs of other names in the model's `cuffs`.
         stiffness_factor: one standard deviation of the prior of every
-            stiffness and of the force at which a cuff slips, which is
-            log-normal: within this factor of its nominal value are two of
-            three.
-        origin_sd_m: that of the prior of every origin.
-        prior_weight: of these priors; 0 for none.
-        errors: priors of what goes wrong in measurement.
+            stiffness, and of the force at which a cuff slips, as a factor.
+            The prior is log-normal: two of three values are within this factor
+            of the nominal one.
+        origin_sd_m: standard deviation of the prior of every origin.
+        prior_weight: weight of these priors; 0 for none.
+        errors: priors of systematic errors of the measurement.
 
     >>> soft = BushingSettings(normal_n_m=Range(2000.0, 100.0, 9000.0))
     >>> InteractionSettings(thigh=soft).bushings(
@@ -632,16 +645,17 @@ class PredictionSettings:
         torque_limit_nm: bound on every joint torque, both legs together.
         ends: "measured", or "periodic": a step of two legs that ends as it
             begins with left and right exchanged, at `speed_m_s`. Nothing is
-            tracked then; the trial is where the search starts, and how long
-            the step lasts.
-        speed_m_s: of the pelvis over a periodic step; the trial's if null.
-        clearance_m: of a foot in the middle half of its measured swing, in a
-            periodic step.
-        guess: where the search starts: "data", or "line" (a minimum-jerk line
-            between the end states, no start for legs that step). By default
-            the line for one leg, data for two.
-        errors: priors of what goes wrong in measurement; of what trials
-            share, a calibration knows more.
+            tracked then; the trial gives the start of the search and the
+            duration of the step.
+        speed_m_s: speed of the pelvis over a periodic step; that of the trial
+            if null.
+        clearance_m: least height of a foot above the ground in the middle half
+            of its measured swing, in a periodic step.
+        guess: where the search starts: "data" (the measured motion), or "line"
+            (a minimum-jerk line between the end states, unsuitable for legs
+            that step). By default the line for one leg, data for two.
+        errors: priors of systematic errors of the measurement; for errors that
+            trials share, the calibration's results are used.
 
     >>> PredictionSettings(objective="comfort").torque_limit_nm
     1000.0
@@ -674,13 +688,13 @@ class CuffFreedom:
         preload_along_m: likewise along it.
         strap_n_m: softest strap along and across the limb; null to add none.
         strap_nm_rad: softest strap in rotation; null to add none.
-        area_m2: of skin that bears its force today.
-        area: least and most of it, as a share of that; tissue under a larger
+        area_m2: area of skin that bears its force today.
+        area: least and most area, as a share of today's; tissue under a larger
             cuff is stiffer in proportion.
         slide: least and most share of the spring along the limb that a
             passive slide in the cuff takes away, 1 for one that moves freely;
             its travel counts as migration.
-        hinge: likewise of the spring in rotation, by a passive hinge.
+        hinge: likewise for the spring in rotation and a passive hinge.
         removable: whether a design may leave the cuff out.
 
     >>> CuffFreedom(along_m=(-0.02, 0.05)).across_m
@@ -729,9 +743,9 @@ class GainFreedom:
     """How far the gains of a joint's controller may go.
 
     Attributes:
-        constant_nm: lowest and highest torque that is always there.
+        constant_nm: lowest and highest constant torque.
         stiffness_nm_rad: stiffest spring towards the joint's zero.
-        damping_nm_s_rad: most damping.
+        damping_nm_s_rad: largest damping.
 
     >>> GainFreedom(stiffness_nm_rad=0.0).damping_nm_s_rad
     5.0
@@ -762,9 +776,9 @@ class DriveLimits:
     """What the drive of a device's joint can do; null for no such limit.
 
     Attributes:
-        torque_nm: most that it gives, besides the joint's friction.
-        speed_deg_s: fastest that its joint turns.
-        power_w: most that it gives or takes up: torque times speed.
+        torque_nm: largest torque of the drive, without the joint's friction.
+        speed_deg_s: largest speed of the joint.
+        power_w: largest power that it gives or takes up: torque times speed.
 
     >>> DriveLimits(torque_nm=30.0).power_w is None
     True
@@ -777,24 +791,27 @@ class DriveLimits:
 
 @dataclass(frozen=True)
 class DesignLimits:
-    """What no wearer may feel more of; null for no such limit.
+    """Largest values that a wearer may feel; null for no such limit.
 
     Attributes:
         normal_n: force of a cuff across the limb.
-        mean_n: its mean over time, over a wearer's trials.
-        rate_n_s: how fast it rises or falls.
-        shear_n: along it.
-        pressure_kpa: force across the limb over the cuff's area, mean.
-        migration_mm: deflection along the limb, as encoders tell it, such that
-            10 mm hold once it is built; where it is larger today, as near to
-            it as it comes.
-        moment_nm: of a cuff on the limb.
-        moment_factor: its moment against the largest one of today.
-        shear_factor: its force along the limb, likewise.
-        effort_factor: moments of the person's joints against the largest
-            ones of today.
+        mean_n: mean of that force over the time of all of a wearer's trials.
+        rate_n_s: how fast that force rises or falls.
+        shear_n: force of a cuff along the limb.
+        pressure_kpa: mean pressure: force across the limb over the cuff's area.
+        migration_mm: deflection along the limb, estimated from encoders; the
+            default is such that 10 mm hold once it is built. If it is beyond
+            the limit today, it comes as near to the limit as it can.
+        moment_nm: moment of a cuff on the limb.
+        moment_factor: moment of a cuff on the limb, as a share of today's
+            largest.
+        shear_factor: force of a cuff along the limb, as a share of today's
+            largest.
+        effort_factor: moments of the person's joints, as a share of today's
+            largest.
         support: how far the device's work may be from today's, as a share.
-        drives: of the device's joints, by name; none where none is named.
+        drives: limits of the drives of the device's joints, by name; a drive
+            that is not named has none.
 
     >>> DesignLimits(pressure_kpa=8.0).migration_mm
     7.0
@@ -840,9 +857,9 @@ class Population:
     Nothing is built in, as populations differ: give your own.
 
     Attributes:
-        height_m: mean and standard deviation.
-        mass_kg: likewise.
-        percentiles: of both at once, a body each.
+        height_m: mean and standard deviation of stature.
+        mass_kg: mean and standard deviation of body mass.
+        percentiles: percentiles, each of both at once; each makes a body.
 
     >>> Population((1.70, 0.10), (70.0, 10.0), (50.0,)).bodies()
     [('50th percentile', 1.7, 70.0)]
@@ -880,35 +897,37 @@ class DesignSettings:
     Attributes:
         objective: "peak" (the norm of order `order` over time, cuffs, trials
             and wearers) or "mean" (of order 2).
-        order: of the norm; the larger, the nearer to the largest force.
-        shear_weight: of forces along the limb beside those across it.
-        weight: of the objective against the person's own movement.
-        response: how the person answers: "own" (moves as before) or "free"
-            (as is least effort, between the ends).
-        own_angle_deg: how near to the own movement, one standard deviation.
+        order: order of the norm; the larger, the nearer to the largest force.
+        shear_weight: weight of forces along the limb beside those across it.
+        weight: weight of the objective against the person's own movement.
+        response: how the person responds: "own" (moves as before) or "free"
+            (moves between the given ends with the least effort).
+        own_angle_deg: how closely the own movement is kept, one standard
+            deviation.
         effort_nm: typical moment of the person's joints in the cost.
-        jerk: typical jerk there; if left out, ten times that of the movements
-            that calibrated: what is known already is no part of what is
-            minimised.
-        draws: wearers drawn from each calibration's posterior, besides the
-            one that it found; a design for them is safer and less good.
-        seed: of those draws.
-        population: wearers of other sizes besides, who move as each
+        jerk: typical jerk in the cost. If left out, ten times that of the
+            calibration trials, so that jerk of the known movement hardly
+            counts.
+        draws: number of wearers drawn from each calibration's posterior,
+            besides the one that it found; a design for them is safer but gains
+            less.
+        seed: seed of those draws.
+        population: additional wearers of other sizes, who move as each
             calibrated one; none if left out.
-        cuffs: what may change of each, by name; defaults where none is
-            named.
-        joints: how far those of the shipped device may move, exo_knee and
-            exo_hip, by name; where they are if none is named.
+        cuffs: what may change of each cuff, by name; defaults for those that
+            are not named.
+        joints: how far the joints exo_knee and exo_hip of the shipped device
+            may move, by name; a joint that is not named stays where it is.
         assistance: lowest and highest factor on the device's torques.
-        assistance_over: what they depend on: the "angle" of their joint, or
-            how much of the "movement"'s time is over; or "gains": one factor
-            throughout, and a constant, a spring and a damper of each joint's
-            controller.
-        gains: how far those may go.
-        points: factors of each joint: at that many angles, or that many
-            coefficients of a cubic spline over the movement; 1 for one
-            throughout.
-        limits: what no wearer may feel more of.
+        assistance_over: what these factors depend on: the "angle" of their
+            joint, or how much of the "movement"'s time is over; or "gains":
+            one factor throughout, and a constant, a spring and a damper of
+            each joint's controller.
+        gains: bounds of that constant, spring and damper.
+        points: number of factors of each joint: at that many angles, or that
+            many coefficients of a cubic spline over the movement; 1 for one
+            factor throughout.
+        limits: largest values that a wearer may feel.
         solver: grid and solver.
 
     >>> DesignSettings(cuffs={"thigh": CuffFreedom(strap_n_m=None)}).freedom(

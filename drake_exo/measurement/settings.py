@@ -50,8 +50,9 @@ class JointDrive:
             theirs in `exoskeleton`).
         viscous_nm_s: friction in proportion to speed.
         coulomb_nm: dry friction.
-        coulomb_speed_rad_s: speed at which tanh(1) of it acts.
-        stiffness_nm_rad: of a spring across the joint.
+        coulomb_speed_rad_s: speed at which dry friction reaches tanh(1) of
+            its full value; it is smoothed as tanh(speed / this).
+        stiffness_nm_rad: stiffness of a spring across the joint.
         rest_deg: angle at which that spring is slack.
     """
 
@@ -72,13 +73,16 @@ class Device:
     2.0
 
     Attributes:
-        encoder_legs, moment_legs: legs whose angles and moments the files
-            hold; moments of one leg are doubled, angles are means.
-        ankle, knee, hip: identified dynamics of the joints beside the
-            person's; of two legs each joint has them as they are.
-        joints: likewise by the name of the device's own joint.
+        encoder_legs: legs whose angles the files hold; those of both are
+            averaged, those of one leg stand for both.
+        moment_legs: legs whose moments the files hold; those of one leg are
+            doubled.
+        ankle, knee, hip: identified dynamics of the device's joint beside
+            this joint of the person. In a model of two legs the joint of each
+            leg has these values, not half of them.
+        joints: the same, by the name of the device's own joint.
         carries_itself: share of the links' own weight and inertia that the
-            drives bear, 0 for a passive device, 1 for a transparent one.
+            drives bear: 0 for a passive device, 1 for a transparent one.
     """
 
     encoder_legs: Legs = "both"
@@ -122,14 +126,14 @@ class Scan:
 
     Attributes:
         file: surface as .stl, .ply or .obj.
-        unit: of the file and of all points below.
-        axes: which of its axes point forward and up.
-        corners: of the mat: first row first cell, first row last cell, last
-            row last cell, last row first cell.
+        unit: unit of the file and of all points below.
+        axes: which axes of the file point forward and up.
+        corners: corners of the mat: first row first cell, first row last
+            cell, last row last cell, last row first cell.
         cells: CSV of "row, column, x, y, z" of the cells' centres, instead
             of corners.
-        segment_axis: lower and upper joint centre of the segment; upright if
-            left out.
+        segment_axis: lower and upper joint centre of the segment; if left
+            out, the segment is taken as upright.
     """
 
     file: Path
@@ -149,15 +153,16 @@ class Mat:
     """A pressure matrix.
 
     Attributes:
-        segment: that it lies on: the cuff's name.
-        rows, columns: cells, in the order of the file (row by row).
-        cell_area_m2: of one cell.
-        legs: that it measured; "left" or "right" are doubled where no mat of
-            the trial lies on the same segment of the other leg. Of a person of
-            two legs each cuff is one leg's own, and nothing is doubled.
-        scan: maps cells to the body's surface.
-        plane_normal: outward normal of a flat surface instead (x forward,
-            y left, z up along the segment).
+        segment: name of the cuff under which it lies.
+        rows, columns: number of cells; the file holds them row by row.
+        cell_area_m2: area of one cell.
+        legs: legs that it measured. The force of "left" or "right" is doubled
+            if no mat of the trial lies on the same segment of the other leg.
+            In a model of two legs each cuff belongs to one leg, and nothing
+            is doubled.
+        scan: scanned surface of the body on which the cells lie.
+        plane_normal: instead of a scan, outward normal of a flat surface
+            (x forward, y left, z up along the segment).
     """
 
     segment: str
@@ -181,7 +186,8 @@ class PressureFile:
 
     Attributes:
         file: Novel's .asc, or .csv.
-        mats: names in `mats`, in the order of the file's columns.
+        mats: names of the mats (keys of `mats`), in the order of the file's
+            columns.
     """
 
     file: Path
@@ -208,9 +214,9 @@ class Subject:
 
     Attributes:
         height_m: stature.
-        sex: which of de Leva's tables.
-        mass_kg: body mass without the exoskeleton; left out, it is that of
-            the OpenSim model, or taken from the forces of quiet standing.
+        sex: which of de Leva's tables is used.
+        mass_kg: body mass without the exoskeleton. If left out, it is that of
+            the OpenSim model, or is taken from the forces of quiet standing.
         segments: values that replace those scaled from mass and height, as
             sums over both legs.
     """
@@ -230,22 +236,29 @@ class Laboratory:
 
     Attributes:
         force_delay_s: lag of the plates' clock behind the markers'.
-        estimate_force_delay: find what lag is left from Newton's law; the
-            trial's provenance reports it.
+        marker_axes: axes of the marker files.
+        force_axes: axes of the force files.
+        estimate_force_delay: whether to find the remaining lag of the plates
+            from Newton's law; the trial's provenance reports it.
         forces_act_on: whether files hold the forces on the body, or on the
             plate (equal and opposite).
         fill_gaps_s: longest gap of a marker that is filled; none by default.
-        encoder_delay_s, pressure_delay_s: lag of their clocks behind the
-            markers'; `exo_moments` are on the encoders'.
-        estimate_encoder_delay, estimate_pressure_delay: calibration and
-            prediction find what lag is left; without, it is as given.
-        largest_delay_s: how far the plates' estimate looks to either side.
-        remove_plate_drift: level the plates where nothing stands on them.
-        hold_cop_below_n: at smaller vertical forces of a foot its centre of
-            pressure stays where it was, or will be, at larger ones; for files
-            whose points were filtered, which reach for the origin there.
-        chair_on_thighs: share of the chair's wrench on the thighs, the rest
-            acts on the pelvis.
+        encoder_delay_s: lag of the encoders' clock behind the markers';
+            `exo_moments` are on the same clock.
+        pressure_delay_s: lag of the mats' clock behind the markers'.
+        estimate_encoder_delay, estimate_pressure_delay: whether calibration
+            and prediction find the remaining lag; if false, the lag is as
+            given.
+        largest_delay_s: largest lag, either way, that the estimate for the
+            plates considers.
+        remove_plate_drift: whether to remove a plate's offset and drift, as
+            seen where nothing stands on it.
+        hold_cop_below_n: while the vertical force of a foot is smaller, its
+            centre of pressure is held where it was, or will be, at larger
+            forces. For files whose points were filtered, because these drift
+            towards the origin there.
+        chair_on_thighs: share of the chair's wrench that acts on the thighs;
+            the rest acts on the pelvis.
     """
 
     marker_axes: Axes = field(default_factory=Axes)
@@ -274,9 +287,9 @@ class Ground:
     """What is walked on.
 
     Attributes:
-        belt_speed_m_s: of a treadmill, at which standing feet are carried
-            backwards in all trials; markers and forces are told as over
-            ground that rests. In the standing trial it rests.
+        belt_speed_m_s: speed at which a treadmill carries standing feet
+            backwards in all trials; markers and forces are converted as if
+            the ground were at rest. In the standing trial the belt rests.
 
     >>> Ground(1.24).belt_speed_m_s
     1.24
@@ -317,7 +330,7 @@ class SegmentMarkers:
     """Markers fixed to each segment, which inverse kinematics follows.
 
     Attributes:
-        toes: needed where the model's toes are hinged; one will do.
+        toes: needed if the model's toes are hinged; one marker is enough.
     """
 
     foot: SidedMarkers
@@ -332,8 +345,8 @@ class Markers:
     """The marker set.
 
     Attributes:
-        weights: weight of single markers in inverse kinematics; if absent 100
-            on a foot that a device is welded to, and 1 elsewhere.
+        weights: weight of single markers in inverse kinematics. By default
+            100 on a foot that a device is welded to, and 1 elsewhere.
     """
 
     joint_centres: JointCentres
@@ -348,10 +361,11 @@ class Plates:
     """Numbers of the force plates, from 1: under each foot, or under both.
 
     Attributes:
-        left, right: under that foot, or several that it steps on in turn;
-            one leg's alone count twice.
-        both: under both feet.
-        chair: under the chair; what it bears with nobody on it is taken out.
+        left, right: plate under that foot, or several plates that it steps on
+            in turn. If only one foot has a plate, its force is doubled.
+        both: plate under both feet.
+        chair: plate under the chair; the force on it with nobody seated is
+            subtracted.
     """
 
     left: int | tuple[int, ...] | None = quantity(None, None, minimum=1)
@@ -394,15 +408,16 @@ class Plates:
 
 @dataclass(frozen=True)
 class Standing:
-    """Quiet, upright standing: scales the model, gives the body mass.
+    """Quiet, upright standing; it scales the model and gives the body mass.
 
     Attributes:
         markers: marker file; the standing posture is its mean.
         forces: force file of the same trial, if plates were recorded.
-        empty_plates: the same plates with nothing on them.
-        start_s, end_s: quiet part; the whole file by default.
-        marker_axes: of its markers, if the subject faced another way than
-            in the trials.
+        empty_plates: recording of the same plates with nothing on them.
+        start_s: start of the quiet part; that of the file by default.
+        end_s: end of the quiet part; that of the file by default.
+        marker_axes: axes of this marker file, if the subject faced another
+            way than in the trials.
     """
 
     markers: Path
@@ -428,7 +443,7 @@ class Filter:
 
     Attributes:
         cutoff_hz: frequency that is damped to 1/sqrt(2) after both passes.
-        order: in effect, after both passes; each pass has half of it.
+        order: order in effect, after both passes; each pass has half of it.
     """
 
     cutoff_hz: float = quantity("Hz", 6.0, above=0)
@@ -457,9 +472,10 @@ class Scaling:
     """How the subject's model is fitted to the standing trial.
 
     Attributes:
-        lengths: of shank and thigh: "markers" (between joint centres) or
-            "table" (from height). Centres of mass and radii of gyration
-            follow in proportion. An OpenSim model keeps its own.
+        lengths: where the lengths of shank and thigh come from: "markers"
+            (between joint centres) or "table" (from height). Centres of mass
+            and radii of gyration follow in proportion. An OpenSim model keeps
+            its own.
         trunk_com: fore-aft place of the centre of mass of pelvis, trunk,
             head and arms: "table" (straight above the hip), or "standing"
             (so that the body's centre of mass stands above the centre of
@@ -478,12 +494,15 @@ class Load:
     have it; or the force that a file holds.
 
     Attributes:
-        body: segment that bears it; a box in the hands is borne by `pelvis`,
-            which has trunk and arms.
-        mass_kg: of what is carried.
-        markers: whose mean is its centre.
-        at_m: place (x, z) in the segment instead of markers.
-        from_s, to_s: while it is carried; all the time if left out.
+        body: segment that bears the load; a box in the hands is borne by
+            `pelvis`, which includes trunk and arms.
+        mass_kg: mass of what is carried.
+        markers: markers on it; their mean is its centre.
+        at_m: place (x, z) of the mass in the segment, instead of markers.
+        from_s: when it starts to be lifted off; if left out, it is carried
+            from the start.
+        to_s: when it starts to be put down; if left out, it is carried to the
+            end.
         over_s: how long it takes to lift it off and to put it down.
         forces: file with the force on the body, instead of a mass.
         plate: number of that force in the file.
@@ -535,21 +554,29 @@ class TrialFiles:
     """One movement: its files, and the part of them that is used.
 
     Attributes:
+        name: name of the trial in results.
+        markers: marker file.
+        forces: force file.
         plates: which plate is under which foot.
-        use: contact is calibrated with it (Phases A and B), or it is
-            predicted and compared with (Phase C).
-        encoders: angles of the exoskeleton's joints.
-        exo_moments: moments of its joints, as recorded; by the model of
-            `device` if left out.
+        use: what the trial is for: to calibrate contact (Phases A and B), or
+            to be predicted and compared with the measurement (Phase C).
+        encoders: file with the angles of the exoskeleton's joints.
+        exo_moments: file with the recorded moments of these joints; if left
+            out, the moments follow from `device`.
         pressure: recordings of the mats.
-        empty_plates: the same plates with nothing on them, which levels
-            those that are never unloaded in the trial.
-        rise: number of the sit-to-stand rise found in the recording, from 1.
+        empty_plates: recording of the same plates with nothing on them; it
+            levels plates that are never unloaded in the trial.
+        rise: which sit-to-stand rise found in the recording is used, from 1.
         seated_s: how long before seat-off the used part starts; needs the
             chair's plate.
-        start_s, end_s: used part, instead of (or bounding) a rise found.
-        begin, end: likewise by an event of a walk: heel_strike or toe_off, a
-            foot, and which of them in the recording, from 1.
+        start_s: start of the used part, instead of a rise that is found, or
+            to overrule its start.
+        end_s: end of the used part, instead of a rise that is found, or to
+            overrule its end.
+        begin: start of the used part by an event of a walk, such as
+            `toe_off left 1`: heel_strike or toe_off, the foot, and the event's
+            number in the recording, from 1.
+        end: end of the used part, likewise by an event of a walk.
         loads: what is carried, or pulls and pushes.
     """
 
@@ -599,13 +626,15 @@ class RecordingSettings:
     """All of a study but what is made of it.
 
     Attributes:
-        markers: which are on which segment; those of the model's own marker
-            set if left out, where `model.human.osim` is given.
-        model: with the shipped exoskeleton, or the human alone; or a
-            description of person, device, cuffs and ground.
+        markers: which markers are on which segment. If `model.human.osim` is
+            given, this may be left out, and the OpenSim model's own markers
+            are used.
+        model: `coupled` is the person with the shipped exoskeleton, `human`
+            the person alone; or a description of person, device, cuffs and
+            ground.
         gravity_m_s2: acceleration of gravity.
-        device: how the exoskeleton was measured and what its drives do; left
-            out, joint moments are known only where they were recorded.
+        device: how the exoskeleton was measured and what its joints do. If
+            left out, joint moments are known only where they were recorded.
         mats: pressure matrices by name.
     """
 

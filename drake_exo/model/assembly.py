@@ -26,12 +26,13 @@ class Person:
     """Segments of the person.
 
     Attributes:
-        legs: "one" stands for both, which move alike; "two" move on their
-            own.
-        toes: "hinged" at the ball of the foot, or "rigid" with it.
+        legs: "one" leg stands for both, which move alike; "two" legs move on
+            their own.
+        toes: "hinged" at the ball of the foot, or "rigid" with the foot.
         osim: scaled OpenSim model (.osim, version 4) that masses, lengths
-            and inertias come from; de Leva's tables if left out.
-        trunk: pelvis, trunk, head and arms are one; there is no other yet.
+            and inertias come from; if left out, de Leva's tables are used.
+        trunk: pelvis, trunk, head and arms are one rigid body; there is no
+            other choice yet.
 
     >>> Person("two").segments[:4]
     ('pelvis', 'thigh_left', 'shank_left', 'foot_left')
@@ -97,7 +98,7 @@ class Weld:
     Attributes:
         to: the segment.
         at_m: place (x, z) of the link's frame in the segment's.
-        pitch_deg: its turn there, toes up.
+        pitch_deg: pitch of the link's frame there, positive toes up.
     """
 
     to: str
@@ -110,16 +111,18 @@ class DeviceFile:
     """A device, and where it is fixed to the person.
 
     Attributes:
-        weld: link -> segment of the person, or where on it; at least one.
-            With all joints at zero the device is as an upright person wears
-            it. Joints between two welded links are left out.
-        file: SDF or URDF (what xacro expands to), joints included; left out,
-            the shipped exoskeleton, fitted to the person.
+        weld: link -> segment of the person that it is fixed to, or its place
+            there; at least one. With all joints at zero the device is as an
+            upright person wears it. Joints between two welded links are left
+            out.
+        file: SDF or URDF (what xacro expands to), joints included; if left
+            out, the shipped exoskeleton, fitted to the person.
         forward: which way the file's x axes point, forward or ("-x") backward.
         fixed: joints that are held at zero, such as a hip's abduction.
-        text: what the file says, with the last two applied; filled in when a
-            study is read.
-        notes: what else was changed in it, in sentences; likewise.
+        text: not for users: the file's text with `forward` and `fixed`
+            applied, filled in when a study is read.
+        notes: not for users: what else was changed in it, in sentences,
+            filled in likewise.
     """
 
     weld: dict[str, str | Weld]
@@ -170,10 +173,10 @@ class CuffLinks:
     Attributes:
         human: segment of the person.
         device: link of the device.
-        at_m: place (x, z) in the segment; that of the subject's cuff of the
-            segment if left out.
-        open: not closed, so that it bears nothing; that the link belongs to
-            the segment still says how the device is worn.
+        at_m: place (x, z) in the segment; if left out, that of the subject's
+            cuff on this segment.
+        open: whether the cuff is open, so that it bears nothing. It still
+            tells which segment the link belongs to.
     """
 
     human: str
@@ -188,13 +191,13 @@ class Assembly:
 
     Attributes:
         human: the person.
-        device: left out for a person alone.
-        cuffs: name -> what it joins; any number.
-        ground: segment -> its spheres by name, or with a place (x, z) of
-            their own, or `same` as on the other leg; those of the person's
-            soles if left out. Spheres of one
-            name share their parameters; `heel_left` and `heel_right` are two,
-            each where a `heel` is.
+        device: the device; leave it out for a person alone.
+        cuffs: name -> what the cuff joins; any number.
+        ground: segment -> its contact spheres: their names, or each name with
+            a place (x, z), or `same` as on the other leg. If left out, the
+            person's soles have their usual spheres. Spheres of the same name
+            share their parameters. `heel_left` and `heel_right` are separate
+            spheres, each at the place of a `heel`.
 
     >>> Assembly(Person("two", "hinged")).spheres["toes_left"]
     {'toe': None}

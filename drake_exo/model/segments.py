@@ -88,9 +88,9 @@ class HumanParameters(_Chain):
 
     Attributes:
         ankle_height_m: height of the ankle joint above the sole.
-        heel_m, toe_m: centres of the contact spheres in the foot frame.
-        shank_cuff_m, thigh_cuff_m, pelvis_cuff_m: origins (l_x, l_z) of the
-            human-exoskeleton bushings in the human segments.
+        heel_m, toe_m: centre of this contact sphere in the foot frame.
+        shank_cuff_m, thigh_cuff_m, pelvis_cuff_m: place (l_x, l_z) of this
+            cuff (human-exoskeleton bushing) in the human segment.
         toes: of the foot, in a frame at their hinge; by the foot's length if
             None.
         ball_m: place of that hinge in the foot; likewise.
@@ -127,12 +127,12 @@ class ExoskeletonParameters(_Chain):
     Attributes:
         foot: the foot-plate, in the human foot's frame (it is welded to it);
             its length is that of the plate.
-        heel_m, toe_m: centres of the contact spheres in that frame.
-        shank_cuff_m, thigh_cuff_m, pelvis_cuff_m: bushing origins in the
-            exoskeleton's segments; they coincide with the human's when both
-            chains are aligned.
-        knee_off_m, hip_off_m: how far (x, z) these joints are from the end of
-            the segment below, where the wearer's are.
+        heel_m, toe_m: centre of this contact sphere in the human foot's frame.
+        shank_cuff_m, thigh_cuff_m, pelvis_cuff_m: place of the device's half
+            of this cuff in the exoskeleton's segment; by default it coincides
+            with the human half when both chains are aligned.
+        knee_off_m, hip_off_m: offset (x, z) of this joint from the end of the
+            segment below, where the wearer's joint is.
     """
 
     foot: SegmentParameters
