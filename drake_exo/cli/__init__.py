@@ -1,4 +1,7 @@
-"""The command `drake-exo`: one subcommand per job."""
+"""The command `drake-exo`: one subcommand for each job.
+
+`drake-exo COMMAND --help` explains a command and its options.
+"""
 
 import argparse
 import errno
@@ -20,16 +23,16 @@ _COMMANDS = {
     "calibrate": "calibrate contact models from a study's recordings",
     "predict": "predict movement and interaction with calibrated contact",
     "design": "design cuffs and assistance with calibrated contact",
-    "crossvalidate": "leave each calibration trial out and predict it",
-    "report": "tables and figures of the paper from results",
-    "sensitivity": "which contact parameters the data determine",
+    "crossvalidate": "leave each calibration trial out in turn and predict it",
+    "report": "make the paper's tables and figures from results",
+    "sensitivity": "say which contact parameters the data determine",
     "contact": "draw the contact laws (Figures 8 and 9 of the paper)",
-    "demo": "virtual campaign, calibration, prediction and report",
+    "demo": "run a virtual campaign, calibration, prediction and report",
     "lab": "simulate a measurement campaign with known truth",
     "sole": "simulate and optimise compliant soles",
-    "batch": "many studies, seeds, cases and settings on many processes",
-    "compare": "results of two or more folders side by side",
-    "export": "results for other programs",
+    "batch": "run many studies, seeds, cases and settings at once",
+    "compare": "put results of two or more folders side by side",
+    "export": "write results for other programs",
     "view": "replay results in a browser, or save the page",
 }
 
@@ -78,12 +81,13 @@ def above_zero(text: str) -> float:
 
 def add_study(parser: argparse.ArgumentParser, **options) -> None:
     """Add what every command on a study reads."""
+    options = {"help": "study file that describes the recordings", **options}
     parser.add_argument("study", type=Path, metavar="STUDY.yaml", **options)
     parser.add_argument(
         "--data-root",
         type=Path,
-        help="folder that the study's relative paths start from; by default "
-        "the study file's own",
+        help="folder that the study's relative paths start from (default: "
+        "the study file's own)",
     )
 
 
@@ -93,6 +97,7 @@ def add_out(
     **options,
 ) -> None:
     """Add --out, with argparse's options, and --force, with its help."""
+    options = {"help": "folder for the results", **options}
     parser.add_argument("--out", type=Path, **options)
     parser.add_argument("--force", action="store_true", help=force)
 
@@ -104,9 +109,9 @@ def add_accept(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="CHECK",
-        help="take a result although this check does not hold, such as "
-        "audit or plausibility.mass; a beginning of dotted names, or all; "
-        "may be given several times, and is recorded",
+        help="accept a result although this check fails, such as audit or "
+        "plausibility.mass; the beginning of a dotted name and all are "
+        "possible, too; may be repeated, and is recorded",
     )
 
 

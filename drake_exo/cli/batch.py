@@ -1,7 +1,7 @@
 """`drake-exo batch`: many subjects, settings and steps with one command.
 
-What is done is not done again: the same command goes on after Ctrl-C, a
-machine that went down, or a change in some of the files.
+Finished tasks are not run again. After Ctrl-C, a machine that went down, or a
+change in some of the files, give the same command to continue.
 """
 
 import argparse
@@ -18,7 +18,12 @@ _PARSE = "drake_exo.cli:parse"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
-    parser.add_argument("batch", type=Path, metavar="BATCH.yaml")
+    parser.add_argument(
+        "batch",
+        type=Path,
+        metavar="BATCH.yaml",
+        help="batch file that lists what to run",
+    )
     parser.add_argument(
         "--out", type=Path, required=True, help="folder for all results"
     )
@@ -33,13 +38,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="workers of the Dask scheduler at tcp://HOST:PORT instead",
+        help="use the workers of the Dask scheduler at tcp://HOST:PORT instead",
     )
     parser.add_argument(
         "--memory",
         type=positive,
         metavar="MB",
-        help="that a task may use; one that needs more is named (Linux)",
+        help="memory that a task may use; tasks that need more are named "
+        "(Linux only)",
     )
 
 

@@ -1,7 +1,8 @@
 """`drake-exo calibrate`: from a study file to calibrated contact.
 
-Without --phase the foot-ground contact (Phase A, written to the folder
-foot_ground) and then the interaction of human and exoskeleton (Phase B).
+Without --phase it calibrates the foot-ground contact (Phase A, written to the
+subfolder foot_ground) and then the interaction of human and exoskeleton
+(Phase B). For a model without cuffs it runs Phase A only.
 """
 
 import argparse
@@ -60,8 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--phase",
         choices=["foot-ground", "interaction"],
-        help="one phase alone; interaction calibrates the foot-ground "
-        "contact first unless --calibration gives it",
+        help="calibrate only this phase; interaction calibrates the "
+        "foot-ground contact first unless --calibration gives it",
     )
     parser.add_argument(
         "--calibration",
@@ -72,8 +73,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-front",
         action="store_true",
-        help="skip the Pareto front of kinematics against forces, which "
-        "--phase foot-ground draws",
+        help="skip the Pareto front of kinematics against forces, which is "
+        "drawn if only the foot-ground contact is calibrated",
     )
     add_study_arguments(parser)
 
@@ -94,7 +95,7 @@ def add_study_arguments(
         parser.add_argument(
             "--resume",
             action="store_true",
-            help="continue in --out where a run was cut off",
+            help="continue a run that was cut off, in --out",
         )
 
 

@@ -1,4 +1,8 @@
-"""`drake-exo check`: read and clean a study's files, report their quality."""
+"""`drake-exo check`: read and clean a study's files, report their quality.
+
+It also judges whether the recordings can be what the study says they are, and
+ends with exit code 3 if a check fails.
+"""
 
 import argparse
 from contextlib import nullcontext
@@ -20,7 +24,7 @@ from drake_exo.study import RecordedStudy, read_study
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     add_study(parser)
-    add_out(parser, help="folder for report, pictures and trials")
+    add_out(parser, help="write report, pictures and trials to this folder")
     add_accept(parser)
 
 

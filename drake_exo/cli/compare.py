@@ -1,7 +1,8 @@
 """`drake-exo compare`: two or more results of one phase side by side.
 
-Parameters with their intervals, RMSD, largest forces, and what differs in
-settings; with --out also as files, with figures of all of them overlaid.
+It prints what differs in settings, parameters with their intervals, RMSD and
+largest forces. With --out it also writes these tables to a file, and draws
+figures of all results overlaid.
 """
 
 import argparse
@@ -19,8 +20,14 @@ from drake_exo.report.gathering import compare
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
-    parser.add_argument("results", type=Path, nargs="+", metavar="DIR")
-    add_out(parser, help="folder for table and figures")
+    parser.add_argument(
+        "results",
+        type=Path,
+        nargs="+",
+        metavar="DIR",
+        help="results of calibrate or predict, two or more",
+    )
+    add_out(parser, help="write table and figures to this folder")
 
 
 def run(args: argparse.Namespace) -> int:

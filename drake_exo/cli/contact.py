@@ -1,4 +1,4 @@
-"""`drake-exo contact`: the contact laws drawn, Figures 8 and 9 of the paper."""
+"""`drake-exo contact`: draw the contact laws, Figures 8 and 9 of the paper."""
 
 from argparse import ArgumentParser, Namespace
 

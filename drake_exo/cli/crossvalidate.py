@@ -1,8 +1,8 @@
 """`drake-exo crossvalidate`: whether calibrating helps on trials not used.
 
-Each calibration trial is left out in turn: contact is calibrated on the others
-(Phases A and B), the one left out is predicted from its end states (Phase C1),
-with calibrated cuffs and with nominal ones, and compared with its mats.
+Each calibration trial is left out in turn. Contact is calibrated on the others
+(Phases A and B). The one left out is then predicted from its end states (Phase
+C1), with calibrated cuffs and with nominal ones, and compared with its mats.
 """
 
 import argparse

@@ -1,10 +1,11 @@
-"""`drake-exo demo`: the main job on the embedded virtual laboratory.
+"""`drake-exo demo`: the whole exoskeleton job, in the virtual laboratory.
 
-Writes a simulated campaign of a person who stands up in an exoskeleton, in
-the files of a gait laboratory; from them alone calibrates the contact of foot
-and ground and of person and device (Phases A and B), predicts six movements
-that were not used (C1), again with stiffer cuffs (C2), reports it all beside
-the paper's figures, and writes a page that replays every movement.
+It writes a simulated campaign of a person who stands up in an exoskeleton, in
+the files of a gait laboratory. From these files alone it calibrates the contact
+of foot and ground and of person and device (Phases A and B). It predicts six
+movements that were not used (C1), and predicts them again with stiffer cuffs
+(C2). Finally it reports the results beside the paper's figures and writes a
+page that replays every movement.
 """
 
 import argparse

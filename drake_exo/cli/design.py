@@ -1,9 +1,9 @@
 """`drake-exo design`: cuffs and assistance for the people who wear them.
 
-The trials with `use: prediction` of each study are what the design is worn in;
-each study has its --calibration, in the same order. design.yaml in --out is
-what is to be built: `drake-exo predict --design` and `drake-exo lab --design`
-read it.
+Give a study for each wearer, and a --calibration for each study in the same
+order. The design is optimised for the movements of their trials with `use:
+prediction`. design.yaml in --out holds what is to be built: `drake-exo predict
+--design` and `drake-exo lab --design` read it.
 """
 
 import argparse
@@ -49,24 +49,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--response",
         choices=["own", "free"],
-        help="how the person answers, instead of the study's design.response",
+        help="how the person responds, instead of the study's design.response",
     )
     parser.add_argument(
         "--parts",
         action="store_true",
-        help="also tell what places, straps and assistance reach alone",
+        help="also tell what places, straps and assistance reach each alone",
     )
     parser.add_argument(
         "--front",
         action="store_true",
-        help="also draw the front of the norm of forces against the device's "
-        "work",
+        help="also draw the Pareto front of the norm of forces against the "
+        "device's work",
     )
     parser.add_argument(
         "--verify",
         action="store_true",
-        help="calibrate if there is no --calibration, design, build it in the "
-        "virtual laboratory that the study comes from, and measure it there",
+        help="also build the design in the virtual laboratory that the study "
+        "comes from, and measure it there; without --calibration, calibrate "
+        "first",
     )
     add_accept(parser)
 

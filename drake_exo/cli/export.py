@@ -1,7 +1,8 @@
 """`drake-exo export opensim`: calibrated contacts in an OpenSim model.
 
-Adds spheres, cuffs and the device to the scaled model that the study's person
-was read from, and writes states and ground forces of the movements beside it.
+It adds spheres, cuffs and the device to the scaled model that the study's
+person was read from, and writes states and ground forces of the movements
+beside it.
 """
 
 import argparse
@@ -19,7 +20,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         description=__doc__,
     )
     opensim.add_argument(
-        "results", type=Path, metavar="DIR", help="of calibrate or predict"
+        "results",
+        type=Path,
+        metavar="DIR",
+        help="results of calibrate or predict",
     )
     opensim.add_argument(
         "--model", type=Path, required=True, help="the scaled .osim file"

@@ -1,7 +1,7 @@
 """`drake-exo inspect`: what a laboratory's file holds.
 
-Markers with their gaps, force plates with their load, channels, rates, units
-and duration, of every format that is read.
+It lists markers with their gaps, force plates with their load, channels, rates,
+units and duration, for every format that drake-exo reads.
 """
 
 import argparse
@@ -12,7 +12,13 @@ from drake_exo.files.inspection import inspect, text_of
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
-    parser.add_argument("file", type=Path, nargs="+", metavar="FILE")
+    parser.add_argument(
+        "file",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        help="recorded file, OpenSim model or mesh",
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -23,29 +23,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "disturbances:\n" + "".join(
         f"  {k}: {v}\n" for k, v in DISTURBANCES.items()
     )
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        help="of the simulated subject and the noise; the same seed gives the "
+        "same files (default: 0)",
+    )
     add_out(parser, "replace results in DIR", required=True, metavar="DIR")
     parser.add_argument(
         "--trials",
         type=int,
-        help="movements to record, the three of calibration first "
+        help="number of movements to record, the three for calibration first "
         f"(default: {NUM_USED}; with --model 3)",
     )
     parser.add_argument(
         "--full",
         action="store_true",
-        help="record all 60 movements of the protocol, used or not",
+        help="record all 60 movements of the protocol, whether used or not",
     )
     parser.add_argument(
         "--files",
         choices=FILES,
         default=FILES[0],
-        help="c3d, or OpenSim's .trc and .mot",
+        help="format of markers and forces: c3d, or OpenSim's .trc and .mot "
+        f"(default: {FILES[0]})",
     )
     parser.add_argument(
         "--truth",
         choices=KINDS,
-        help="how far truth may lie from what a calibration begins with "
+        help="how far the truth may lie from where a calibration starts "
         f"(default: {KINDS[0]})",
     )
     parser.add_argument(
@@ -55,38 +62,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME",
         choices=[*DISTURBANCES, "all"],
-        help="disturbances to switch off, or all (but variation)",
+        help="disturbances to switch off; all switches off all but variation",
     )
     parser.add_argument(
         "--jobs",
         type=positive,
         default=PROCESSES,
-        help="processes at a time (default: a core for each, at most 2)",
+        help="processes at a time (default: the number of cores, at most 2)",
     )
     parser.add_argument(
         "--design",
         metavar="DIR",
-        help="results of 'drake-exo design': its cuffs and assistance on the "
-        "same subject",
+        help="results of 'drake-exo design': record the same subject with its "
+        "cuffs and assistance",
     )
     parser.add_argument(
         "--model",
         metavar="FILE",
-        help="what a study's 'model' says, of two legs: simulate that person "
-        "and device, passive, instead",
+        help="file with what a study's 'model' says, for a person with two "
+        "legs: simulate that person with the device passive instead",
     )
     parser.add_argument(
         "--movement",
         choices=MOVEMENTS,
         default=MOVEMENTS[0],
-        help="with --model",
+        help=f"with --model: what the person does (default: {MOVEMENTS[0]})",
     )
     parser.add_argument(
         "--left-share",
         type=float,
         default=0.5,
         metavar="SHARE",
-        help="with --model: of the ground's force, that the left leg bears",
+        help="with --model: share of the ground's force that the left leg "
+        "bears (default: 0.5)",
     )
 
 

@@ -1,7 +1,7 @@
 """`drake-exo predict`: movement and interaction of trials not calibrated on.
 
 Each trial with `use: prediction` is predicted by itself from its initial and
-final state (Phase C1; C2 with --scale-interaction 1.4).
+final state. This is Phase C1; with --scale-interaction 1.4 it is Phase C2.
 """
 
 import argparse
@@ -82,31 +82,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=above_zero,
         default=1.0,
         metavar="FACTOR",
-        help="of the interaction's stiffness and damping; 1.4 is Phase C2",
+        help="multiply stiffness and damping of the cuffs by this; 1.4 is "
+        "Phase C2",
     )
     parser.add_argument(
         "--objective",
         choices=["tracking", "comfort"],
-        help="instead of the study's prediction.objective",
+        help="used instead of the study's prediction.objective",
     )
     parser.add_argument(
         "--torque-limit",
         type=above_zero,
         metavar="NM",
-        help="instead of the study's prediction.torque_limit_nm",
+        help="used instead of the study's prediction.torque_limit_nm",
     )
     parser.add_argument(
         "--controller",
         metavar="MODULE:NAME",
         help="a stateless LeafSystem that gives the exoskeleton's torques, "
-        "such as drake_exo:AssistController; without it they are as measured",
+        "such as drake_exo:AssistController; without it the measured torques "
+        "are tracked",
     )
     parser.add_argument(
         "--design",
         type=Path,
         metavar="DIR",
         help="results of 'drake-exo design': predict with its cuffs, and with "
-        "the device's torques as they answer on them",
+        "the device's torques of its forecast",
     )
 
 

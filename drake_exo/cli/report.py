@@ -1,9 +1,9 @@
 """`drake-exo report`: the paper's tables and figures from results on disk.
 
-Looks through DIR for what `calibrate` and `predict` wrote and makes, in
-DIR/report: Table II (calibration) and Table III (prediction) as text and CSV,
-and Figures 2 to 7. The paper's own figures stand beside those of the virtual
-subject.
+It looks through DIR for what `calibrate` and `predict` wrote. In DIR/report it
+makes Table II (calibration) and Table III (prediction) as text and CSV, and
+Figures 2 to 7. If the subject is that of the virtual laboratory, the paper's
+own numbers stand beside its results.
 """
 
 import argparse
@@ -18,11 +18,16 @@ from drake_exo.report.gathering import Results, check_one_study, gather
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
-    parser.add_argument("results", type=Path, metavar="DIR")
+    parser.add_argument(
+        "results",
+        type=Path,
+        metavar="DIR",
+        help="folder with results of calibrate and predict",
+    )
     add_out(
         parser,
         "replace an earlier report",
-        help="instead of DIR/report",
+        help="folder for the report (default: DIR/report)",
         metavar="FOLDER",
     )
     add_accept(parser)

@@ -1,8 +1,8 @@
 """`drake-exo sensitivity`: which contact parameters the data determine.
 
-Solves Phase A, then looks at all parameters of the spheres, the radius too,
-and calibrates again with other radii: the same forces come out with the
-spheres' centres moved.
+It solves Phase A, then analyses all parameters of the spheres, including the
+radius. It also calibrates again with other radii, to show that the same forces
+come out with the spheres' centres moved.
 """
 
 import argparse

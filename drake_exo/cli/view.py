@@ -1,9 +1,9 @@
 """`drake-exo view`: replays results in a browser, or saves the page.
 
-DIR is what `calibrate`, `predict`, `demo`, `sole simulate`, `sole optimize` or
-`sole study` wrote. The page is one HTML file that needs no network: trials to
-choose from, a time slider, measured beside simulated, forces as arrows, a
-sole's contact pressure in colour.
+DIR is a folder that `calibrate`, `predict`, `demo`, `sole simulate`, `sole
+optimize` or `sole study` wrote. The page is one HTML file that needs no
+network. It has a list of trials and a time slider, and shows measured beside
+simulated movements, forces as arrows, and a sole's contact pressure in colour.
 """
 
 from __future__ import annotations
@@ -26,12 +26,14 @@ REPLAY = "replay.html"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
-    parser.add_argument("results", type=Path, metavar="DIR")
+    parser.add_argument(
+        "results", type=Path, metavar="DIR", help="folder with results"
+    )
     add_out(
         parser,
         "replace an earlier FILE.html",
         metavar="FILE.html",
-        help="save the page there and end, instead of serving it",
+        help="save the page to this file instead of serving it",
     )
     parser.add_argument(
         "--no-browser",
