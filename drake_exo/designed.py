@@ -446,8 +446,8 @@ class Designed:
             change,
             limit,
             "%",
-            sentence="the device's work is not that of today: tighten "
-            "design.limits.support",
+            sentence="the device does not do the work that it does today: "
+            "tighten design.limits.support",
         )
         most = (1.0 + _KEPT) * self.found.norm_n
         forecast = forecast_norm(self.found, self.after)
@@ -457,12 +457,13 @@ class Designed:
             forecast,
             most,
             "N",
-            sentence="the person's movement would have to change for what "
-            "the design promised: "
+            sentence="the design keeps its promise only if the person moves "
+            "otherwise: "
             + (
                 "lower design.own_angle_deg or weight"
                 if self.settings.response == "own"
-                else "moving as before it bears more; design for response: own"
+                else "while the person moves as before the cuffs bear more; "
+                "design for response: own"
             ),
         )
         largest = max(p.forecast_after for p in self.peaks.values())
@@ -503,7 +504,8 @@ class Designed:
                     peak.forecast_low if less else peak.forecast_high,
                     "N",
                     cuff,
-                    "as built it bears what its forecast's band does not hold",
+                    "its force measured on the built design lies outside the "
+                    "band of its forecast",
                 )
         note = partial(note, holds=False)
         most = self.settings.limits.migration_mm
@@ -516,10 +518,12 @@ class Designed:
                     limit=most,
                     unit="mm",
                     where=row["cuff"],
-                    sentence="deflects along the limb by more than its limit, "
-                    f"{row['before']['migration_mm']:.1f} mm today: "
-                    "the design comes no nearer under its other limits, or "
-                    "its forecast slides on: lower limits.migration_mm",
+                    sentence="deflects along the limb by more than its limit "
+                    "(on the device of today "
+                    f"{row['before']['migration_mm']:.1f} mm): other limits "
+                    "keep the design from coming nearer to it, or the cuff "
+                    "slides further in the forecast: lower "
+                    "limits.migration_mm",
                 )
         for wearer in self.after:  # whose own limits these are
             others = f", {wearer}" if len(self.after) > 1 else ""
@@ -543,7 +547,7 @@ class Designed:
             at = {k: row[k] for k in ("value", "unit")}
             at["where"] = row["name"]
             if row["at_bound"]:
-                said = "is at a bound: what is beyond was not asked for"
+                said = "is at a bound: values beyond it were not tried"
                 yield note("design.bounds", **at, sentence=said)
             if row["extrapolated"]:
                 said = "moves a cuff to where nothing was calibrated"

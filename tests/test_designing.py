@@ -723,13 +723,16 @@ def test_what_is_asked_in_python_is_checked(study):
     ("text", "said"),
     [
         ("order: 2", "order is 2, but must be at least 4"),
-        ("cuffs: {thigh: {along_m: [0.1, 0.2]}}", "what it is today"),
-        ("assistance: [1.1, 1.2]", "factor of today"),
+        (
+            "cuffs: {thigh: {along_m: [0.1, 0.2]}}",
+            "must include its value today",
+        ),
+        ("assistance: [1.1, 1.2]", "must include today's factor"),
         ("limits: {support: -1}", "support is -1"),
         (
             "population: {height_m: [1.7, 0.1], mass_kg: [70, 10], "
             "percentiles: [50, 50]}",
-            "percentile is there twice",
+            "percentile is given twice",
         ),
     ],
 )

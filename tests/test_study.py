@@ -110,13 +110,13 @@ def test_data_root_must_be_a_folder(tmp_path):
         (
             "  prior",
             "  spheres: {toe: {}}\n  prior",
-            "spheres: 'toe' is said by the key toe, too; keep one of them",
+            "spheres: 'toe' is given by the key toe, too; keep one of them",
         ),
         (
             "model: human",
             "model: human\ninteraction: {thigh: {slip_n: null}, "
             "cuffs: {thigh: {}}}",
-            "cuffs: 'thigh' is said by the key thigh, too",
+            "cuffs: 'thigh' is given by the key thigh, too",
         ),
         (
             "model: human",

@@ -133,8 +133,8 @@ class BatchFile:
             ours = [step for step in self.steps if step in steps]
             if given and not ours:
                 raise InputError(
-                    f"nothing is done with {what}; add one of "
-                    f"{', '.join(steps)} to steps"
+                    f"no step uses the {what}; add one of {', '.join(steps)} "
+                    "to steps"
                 )
             if ours and not given:
                 raise InputError(f"step {ours[0]!r} needs {what}; name some")
@@ -146,11 +146,11 @@ class BatchFile:
         for step, base in BUILDS_ON.items():
             if step in self.steps and base not in self.steps:
                 raise InputError(
-                    f"{step!r} builds on {base!r}; add it to steps"
+                    f"{step!r} builds on {base!r}; add {base} to steps"
                 )
         for step, options in self.options.items():
             if step not in self.steps:
-                raise InputError(f"options: {step!r} is none of the steps")
+                raise InputError(f"options: {step!r} is not one of the steps")
             for option in options:
                 word = option.partition("=")[0]
                 # argparse takes the beginning of an option's name for it.
@@ -167,8 +167,8 @@ class BatchFile:
                     else ("study", "studies or laboratories")
                 )  # fmt: skip
                 raise InputError(
-                    f"sweep: {key!r} is a key of a {file} file, and there are "
-                    f"no {none}; leave it out"
+                    f"sweep: {key!r} is a key of a {file} file, but the batch "
+                    f"has no {none}; leave the key out"
                 )
 
     def variants(self) -> list[dict[str, Any]]:
@@ -190,7 +190,7 @@ class BatchFile:
         names = [variant_name(changes) for changes in found]
         for name in names:
             if names.count(name) > 1:
-                raise InputError(f"sweep: {name or 'nothing'} is there twice")
+                raise InputError(f"sweep: {name or 'nothing'} is given twice")
         return found
 
 
@@ -477,8 +477,9 @@ def tasks_of(batch: BatchFile, folder: Path) -> list[Task]:
         for above in map(str, PurePosixPath(task.name).parents):
             if above in tasks:
                 raise InputError(
-                    f"results of {task.entry!r} would lie among those of "
-                    f"{tasks[above].entry!r}, in {above}; rename one's folder"
+                    f"results of {task.entry!r} would be written among those "
+                    f"of {tasks[above].entry!r}, in {above}; rename one of the "
+                    "two folders"
                 )
     return list(tasks.values())
 

@@ -32,12 +32,13 @@ _ACCURACY = 1e-4
 # Where each interval is looked at.
 _FRACTIONS = (0.25, 0.5, 0.75)
 _BETWEEN = (
-    "laws and equations of motion that hold at the nodes miss this between "
-    "them; solve on a finer grid (solver.nodes_per_second)"
+    "the contact laws and equations of motion hold at the nodes of the grid, "
+    "but between nodes they are off by this much; solve on a finer grid "
+    "(solver.nodes_per_second)"
 )
 _SIMULATED = (
-    "the motion does not come out again when it is simulated; the contact is "
-    "too stiff for the grid (solver.nodes_per_second), or leaves the ground"
+    "a simulation does not reproduce the motion; the contact is too stiff for "
+    "the grid (raise solver.nodes_per_second), or leaves the ground"
 )
 
 

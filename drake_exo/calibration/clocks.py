@@ -292,8 +292,8 @@ def clock_checks(
             if clock is not None and abs(clock.lag_s - lag) > _FIRST_ORDER_S:
                 far = 1e3 * abs(clock.lag_s - lag), 1e3 * _FIRST_ORDER_S, "ms"
                 text += (
-                    ", so far off only roughly: give about as much as "
-                    f"{_GIVEN[system]}, and run again"
+                    ", too far off for more than a rough value: set "
+                    f"{_GIVEN[system]} to about this, and run again"
                 )
                 made.append(Check("clocks", False, *far, where, text, "note"))
     return made

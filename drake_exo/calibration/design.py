@@ -552,7 +552,8 @@ class _Wearing(PhaseProblem):
             raise InputError(
                 f"design.limits.drives.{joint}.torque_nm is {most:g}; the "
                 f"drive gives {self.wearer.name} up to {today:.3g} N m, which "
-                "a design does not change (too little of all drives)"
+                "the design cannot change (too small a share of all drives); "
+                "raise this limit or leave it out"
             )
 
     def work(self, trials: Sequence[Trial]) -> float:

@@ -42,8 +42,8 @@ class Hold(NamedTuple):
 
     def __str__(self) -> str:
         return (
-            f"at {self.joint} its weight pushes it off by "
-            f"{-self.stiffness:.1f} N m/rad more than the cuffs hold it"
+            f"at {self.joint} the cuffs are {-self.stiffness:.1f} N m/rad too "
+            "soft to hold its weight"
         )
 
 

@@ -285,8 +285,8 @@ def check_is_measured(trials: Sequence[Trial]) -> None:
         )
     if not any(map(has_encoders, trials)):
         raise InputError(
-            "no trial has encoders, and where the device was on its cuffs is "
-            "not known without; give those of one trial at least"
+            "no trial has encoders, and without them it is not known where the "
+            "device was on its cuffs; give those of at least one trial"
         )
 
 
@@ -450,8 +450,8 @@ class PredictionProblem(PhaseProblem):
         steps = len(self.feet) > 1
         if self.settings.guess == "line" and steps:
             raise InputError(
-                "prediction.guess: a line between the ends is no start for "
-                "legs that step; say data, or leave it out"
+                "prediction.guess: a line between the ends cannot start a "
+                "movement whose legs step; say data, or leave it out"
             )
         if steps or self.settings.guess == "data":
             return super()._start(movement, trial)
@@ -588,8 +588,8 @@ def mirrored(names: Coordinates) -> np.ndarray:
         parts = [other.get(part, part) for part in name.split("_")]
         if i >= len(names.root) and parts == name.split("_"):
             raise InputError(
-                f"prediction.ends: {name} is of both legs at once; a periodic "
-                "step needs two, say human: {legs: two}"
+                f"prediction.ends: {name} stands for both legs at once, but a "
+                "periodic step needs two; say human: {legs: two}"
             )
         found[i, names.index("_".join(parts))] = 1.0
     human, device = names.columns(names.human), names.device_columns
@@ -600,9 +600,9 @@ def mirrored(names: Coordinates) -> np.ndarray:
     ):
         if not np.allclose(np.abs(own), np.abs(other)):
             raise InputError(
-                f"prediction.ends: {name} is not beside the joint that its "
-                "other side is beside; a periodic step needs a device that is "
-                "alike left and right"
+                f"prediction.ends: {name} turns with other joints of the "
+                "person than its counterpart on the other leg does; a periodic "
+                "step needs a device that is alike left and right"
             )
         found[i] *= -1.0 if own @ other < 0.0 else 1.0
     return found

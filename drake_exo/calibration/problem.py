@@ -721,7 +721,8 @@ def _check_trials(
             ):
                 raise InputError(
                     f"trials {other.name} and {trial.name} are the same part "
-                    "of a recording, which would count twice; leave one out"
+                    "of a recording, which would count twice; leave one of "
+                    "them out"
                 )
         if trial.coordinates != own:
             raise InputError(
@@ -761,13 +762,14 @@ def _check_trials(
         if unknown:
             raise InputError(
                 f"trial {trial.name}: the force under the {min(unknown)} foot "
-                "is not known; give each foot's of a model with two legs"
+                "is not known; a model with two legs needs the force under "
+                "each foot"
             )
         wrong = trial.not_finite()
         if wrong:
             raise InputError(
-                f"trial {trial.name}: {wrong} holds what is no finite number; "
-                "cut or fill it"
+                f"trial {trial.name}: {wrong} holds values that are not finite "
+                "numbers; cut or fill them"
             )
         turned = np.abs(trial.q[:, own.is_angle]).max()
         if turned > 2.0 * np.pi:
@@ -807,8 +809,8 @@ def _in_order(contact: ContactModel, model: Model) -> ContactModel:
             continue
         if what == "spheres" and len(own) == 1:
             raise InputError(
-                f"a foot rolls over the sphere {next(iter(own))} alone; give "
-                "it two or more (model.ground)"
+                f"a foot has only the sphere {next(iter(own))} to roll over; "
+                "give it two or more (model.ground)"
             )
         if not set(own) <= set(known) or (what == "spheres" and not own):
             raise InputError(

@@ -269,7 +269,7 @@ class StoredCalibration:
             check(
                 "subject",
                 made_of.subject == subject,
-                f"it is of subject {made_of.subject!r}, the study of "
+                f"it is of subject {made_of.subject!r}, but the study is of "
                 f"{subject!r}",
             ),
             check(
@@ -281,8 +281,8 @@ class StoredCalibration:
             check(
                 "law",
                 law is None or self.contact.ground.law == law,
-                f"its foot-ground law is {self.contact.ground.law!r}, the "
-                f"study's {law!r}",
+                f"its foot-ground law is {self.contact.ground.law!r}, but "
+                f"the study's is {law!r}",
             ),
             check(
                 "unseen",

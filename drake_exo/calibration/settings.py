@@ -407,7 +407,7 @@ def _check_once(settings, group: str) -> None:
     for name in own_keys(settings):
         if name in getattr(settings, group):
             raise InputError(
-                f"{group}: {name!r} is said by the key {name}, too; keep one "
+                f"{group}: {name!r} is given by the key {name}, too; keep one "
                 "of them"
             )
 
@@ -492,8 +492,8 @@ class BushingSettings:
             given = getattr(self, name)
             if given.free and given.nominal == 0.0:
                 raise InputError(
-                    f"{name}: nominal is 0, and its prior is a factor on it; "
-                    "give one above 0, or free: false"
+                    f"{name}: nominal is 0, but the prior is a factor on the "
+                    "nominal value; give one above 0, or free: false"
                 )
 
     @property
@@ -766,8 +766,8 @@ def _check_today(freedom, names) -> None:
         today = 1.0 if what == "area" else 0.0
         if not lower <= today <= upper:
             raise InputError(
-                f"{what} is {lower:g} to {upper:g}; what it is today, "
-                f"{today:g}, must be within"
+                f"{what} is {lower:g} to {upper:g}, which must include its "
+                f"value today, {today:g}"
             )
 
 
@@ -873,7 +873,7 @@ class Population:
 
     def __post_init__(self):
         if len(set(self.percentiles)) < len(self.percentiles):
-            raise InputError("a percentile is there twice; give each once")
+            raise InputError("a percentile is given twice; give each once")
 
     def bodies(self) -> list[tuple[str, float, float]]:
         """Of each percentile: name, height [m] and mass [kg]."""
@@ -961,8 +961,8 @@ class DesignSettings:
         lower, upper = self.assistance
         if not lower <= 1.0 <= upper:
             raise InputError(
-                f"assistance is {lower:g} to {upper:g}; the factor of today, "
-                "1, must be within"
+                f"assistance is {lower:g} to {upper:g}, which must include "
+                "today's factor, 1"
             )
 
     @property

@@ -452,13 +452,14 @@ def check_population(wearer: Wearer) -> None:
     if not assembly.is_fitted or assembly.human.sides:
         raise InputError(
             "design.population: needs the shipped device, which adjusts to a "
-            "body, on a person of one leg for both; leave it out"
+            "body, and a person whose one leg stands for both; leave it out"
         )
     loaded = [t.name for t in wearer.trials if t.borne()]
     if loaded:
         raise InputError(
             f"design.population: trial {loaded[0]} has a chair or a load, and "
-            "how another body would bear it is not known; leave it out"
+            "it is not known how another body would bear it; leave "
+            "design.population out"
         )
 
 
@@ -501,7 +502,7 @@ def check_wearers(wearers: Sequence[Wearer], settings: DesignSettings) -> None:
             if list(own) != list(usual):
                 raise InputError(
                     f"the device of {wearer.name} has the {what} "
-                    f"{', '.join(own)}, that of {wearers[0].name} "
+                    f"{', '.join(own)}, but that of {wearers[0].name} has "
                     f"{', '.join(usual)}; design for wearers of one device"
                 )
         for cuff, bushing in wearer.contact.bushings.items():

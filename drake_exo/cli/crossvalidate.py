@@ -81,7 +81,9 @@ def run(args: argparse.Namespace) -> int:
         code = folder.end(STOPPED_CODE if stopped else held.exit_code)
     print(_table(folds))
     if len(told) == 1:
-        print(f"{told[0]} alone has encoders, and is never left out")
+        print(
+            f"{told[0]} is never left out: it is the only trial with encoders"
+        )
     print(summary["sentence"])
     print(held.text())
     print(f"results in {folder.path}")
@@ -148,12 +150,13 @@ def verdict(folds: list[dict], alone: Sequence[str] = ()) -> dict:
     sentence = (
         f"calibrating {word}: normal forces of trials left out are off by "
         f"{np.mean(own):.1f} N instead of {np.mean(usual):.1f} N with nominal "
-        f"cuffs ({len(own)} of them, {better} nearer, ratio {ratio:.2f})"
+        f"cuffs (means of {len(own)}, of which {better} are nearer; ratio "
+        f"{ratio:.2f})"
     )
     if alone:
         sentence += (
-            f"; mats of {' and '.join(alone)} are in one trial alone, "
-            "without which nothing tells their force"
+            f"; only one trial has mats of {' and '.join(alone)}, and without "
+            "it nothing tells their force"
         )
     return {"helps": ratio < 1.0, "ratio": ratio, "sentence": sentence}
 

@@ -389,8 +389,8 @@ def _write(
     text += f"\nmovements start from {summary['starts_from']}"
     if designed:
         text += (
-            "\nmeasured in the device of today: what the design changes is "
-            "in these differences, too"
+            "\nmeasured in the device of today: these differences include what "
+            "the design changes"
         )
     write_text(out / "rmsd.txt", text, verdict.mark)
     print(text)

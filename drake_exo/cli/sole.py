@@ -300,8 +300,8 @@ def _point_checks(point: dict) -> list[Check]:
     ratio = point["ratio_rot"]
     keeps = Check(
         "bounds.c_rot", ratio >= floor, ratio, floor, "", where,
-        "by the exact law c_rot is this share of the initial shape's, which "
-        "is below the floor", "note",
+        "c_rot by the exact law, as a share of the initial shape's, is below "
+        "the floor", "note",
     )  # fmt: skip
     return [solved, keeps]
 

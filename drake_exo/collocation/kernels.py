@@ -588,8 +588,8 @@ class ControllerKernel:
             )
         if not np.allclose(bent, ExtractValue(told).ravel(), equal_nan=True):
             raise InputError(
-                "the controller that is converted to AutoDiffXd gives other "
-                "torques; hand its values on in _construct_copy"
+                "the controller gives other torques once it is converted to "
+                "AutoDiffXd; pass all its values on in _construct_copy"
             )
 
     def _torque(self, state, time, derivatives):

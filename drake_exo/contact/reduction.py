@@ -149,8 +149,8 @@ class SoleLaw:
     def __post_init__(self):
         if len(self.spheres) < 2:
             raise InputError(
-                "spheres: a foot rolls over one alone; reduce to two or more "
-                "(--spheres 2)"
+                "spheres: a foot would only roll over a single sphere; reduce "
+                "to two or more (--spheres 2)"
             )
         for name in self.spheres:
             if "." in name or not name.strip():
@@ -359,8 +359,8 @@ def reduce_sole(
     samples = list(samples) if isinstance(samples, Iterable) else [samples]
     if len(samples) < 5 or isinstance(samples[0], str):
         raise InputError(
-            "samples are none of a sole; give what dx.soles.sole_samples says "
-            "of a step, or of its folder"
+            "samples are not those of a sole; give what dx.soles.sole_samples "
+            "returns for a step, or for its folder"
         )
     samples = Samples(*samples)
     if spheres < 1:
@@ -374,7 +374,7 @@ def reduce_sole(
     known += (1 if planar else 2) * np.count_nonzero(samples.loaded[first])
     if known < unknowns:
         raise InputError(
-            f"samples ({len(first)} that differ) do not tell {unknowns} "
+            f"samples ({len(first)} that differ) do not determine {unknowns} "
             f"unknowns of {spheres} spheres; take fewer spheres or a longer "
             "step"
         )

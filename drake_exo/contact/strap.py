@@ -130,8 +130,8 @@ class Assistance(_Linear):
         if self.over == "movement":
             if self.angle_deg or not self.factor:
                 raise InputError(
-                    "over the movement there are factors alone; leave "
-                    "angle_deg empty"
+                    "an assistance over the movement is given by factors "
+                    "alone; leave angle_deg empty"
                 )
             return
         if not self.angle_deg or len(self.angle_deg) != len(self.factor):

@@ -137,7 +137,9 @@ def read_cells(
     if nodes.size == 0:
         raise InputError(f"{path}: is empty or cut off; {remedy}")
     if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) == 0:
-        raise InputError(f"{path}: its nodes are not in space; {remedy}")
+        raise InputError(
+            f"{path}: its nodes do not have three coordinates; {remedy}"
+        )
     if not (np.abs(nodes) < 1e9).all():
         raise InputError(
             f"{path}: places of nodes are missing or out of all bounds; "

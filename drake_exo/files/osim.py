@@ -335,7 +335,7 @@ def _coupler(path: str, constraint: ET.Element) -> OsimCoupler:
     names = (constraint.findtext("independent_coordinate_names") or "").split()
     if len(names) != 1:
         raise InputError(
-            f"{where} depends on {len(names)} coordinates; one is read"
+            f"{where} depends on {len(names)} coordinates; only one can be read"
         )
     (node,) = constraint.find("coupled_coordinates_function")
     function = _function(where, node)
@@ -393,7 +393,7 @@ def _joint(path: str, joint: ET.Element, bodies) -> OsimJoint:
         count = sum(map(len, _SIMPLE[kind]))
         if len(names) != count:
             raise InputError(
-                f"{where}: a {kind} has {count} coordinates, and here are "
+                f"{where}: a {kind} has {count} coordinates, but this one has "
                 f"{len(names)}; open it in OpenSim 4 and save it"
             )
         free = iter(names)
@@ -440,7 +440,8 @@ def _custom(where: str, transform: ET.Element, names):
         if len(of) > 1 or not set(of) <= set(names):
             raise InputError(
                 f"{where}: axis {axis.get('name')!r} depends on "
-                f"{' and '.join(of)}; one coordinate of the joint is read"
+                f"{' and '.join(of)}; only one coordinate of the joint can be "
+                "read"
             )
         kinds = [c for c in axis if c.tag not in ("coordinates", "axis")]
         direction = _vector(axis.findtext("axis"))

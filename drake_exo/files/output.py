@@ -110,8 +110,8 @@ class OutputFolder:
             others = _files(self.target) - _own(self.target)
             if taken := sorted(written & others):
                 raise InputError(
-                    f"{self.target / taken[0]}: no run wrote this, and results "
-                    f"have a file of that name; move it; they are in "
+                    f"{self.target / taken[0]}: no run wrote this file, but a "
+                    "result has the same name; move it; the results are in "
                     f"{self.path}"
                 )
             old = _own(self.target) - written
@@ -185,8 +185,8 @@ def _place(target: Path, force: bool, resume: bool) -> Path:
     partial = _beside(target)
     if occupied and force and (others := _files(partial) - _own(partial)):
         raise InputError(
-            f"{partial / min(others)}: no run wrote this, and new results grow "
-            "there before they replace the old ones; move it"
+            f"{partial / min(others)}: no run wrote this file, but new results "
+            "are written there before they replace the old ones; move it"
         )
     if occupied and not resume:
         shutil.rmtree(partial, ignore_errors=True)

@@ -380,7 +380,7 @@ def uniform_time(
     check_increasing(source, time)
     n = len(time)
     if n < 2:
-        raise InputError(f"{source}: holds {n} frames; two are the least")
+        raise InputError(f"{source}: holds {n} frames; at least two are needed")
     usual = float(np.median(np.diff(time)))
     if rate_hz and abs(usual * rate_hz - 1.0) > 0.2:
         raise _wrong_rate(source, rate_hz, usual)

@@ -44,20 +44,23 @@ def keys(folder, text="steps: [check]\nstudies: ['*/study.yaml']"):
     ("text", "words"),
     [
         ("steps: [chek]\nstudies: [a]", "did you mean 'check'"),
-        ("steps: []\nstudies: [a]", "nothing is done with studies"),
+        ("steps: []\nstudies: [a]", "no step uses the studies"),
         ("steps: [check]", "needs studies or laboratories"),
-        ("steps: [check]\nstudies: [a]\ncases: [b]", "done with cases"),
-        ("steps: [predict]\nstudies: [a]", "builds on 'calibrate'"),
+        ("steps: [check]\nstudies: [a]\ncases: [b]", "uses the cases"),
+        (
+            "steps: [predict]\nstudies: [a]",
+            "builds on 'calibrate'; add calibrate to",
+        ),
         ("steps: [check]\nstudies: [a]\nsweep: {a.b: []}", "has no values"),
-        ("steps: [check]\nstudies: [a]\nsweep: {a: [1, 1]}", "there twice"),
+        ("steps: [check]\nstudies: [a]\nsweep: {a: [1, 1]}", "given twice"),
         ("steps: [check]\nstudies: [a]\noptions: {check: [--out]}", "itself"),
         (
             "steps: [check]\nstudies: [a]\nsweep: {cost.weight: [1]}",
-            "'cost.weight' is a key of a case file, and there are no cases",
+            "'cost.weight' is a key of a case file, but the batch has no cases",
         ),
         (
             "steps: [sole simulate]\ncases: [a]\nsweep: [{model: human}]",
-            "'model' is a key of a study file, and there are no studies",
+            "'model' is a key of a study file, but the batch has no studies",
         ),
         (
             "steps: [check]\nstudies: [a]\noptions: {check: [--data=b]}",
@@ -65,7 +68,7 @@ def keys(folder, text="steps: [check]\nstudies: ['*/study.yaml']"):
         ),
         (
             "steps: [check]\nstudies: [a]\noptions: {predict: [x]}",
-            "none of the steps",
+            "not one of the steps",
         ),
         ("steps: [check]\nlaboratories: {seeds: [-1]}", "at least 0"),
         (
@@ -121,7 +124,9 @@ def test_results_never_lie_among_those_of_another(folder):
     """One of them would be replaced with the other."""
     (folder / "anna" / "check.yaml").write_text("")
     text = "steps: [check]\nstudies: ['anna/*.yaml']"
-    with pytest.raises(InputError, match="'anna/check' would lie among those"):
+    with pytest.raises(
+        InputError, match="'anna/check' would be written among those"
+    ):
         tasks_of(batch(text), folder)
     (folder / "anna" / "check.yaml").rename(folder / "anna" / "other.yaml")
     names = ["anna/other/check", "anna/check"]

@@ -216,8 +216,12 @@ def test_checks_tell_what_is_known_of_each_clock(in_device):
     near, far, _ = clock_checks([trial], found)
     assert near.holds and not far.holds and far.where == near.where
     assert far.value == pytest.approx(63.0) and far.limit == 50.0
-    assert far.sentence.startswith("-63 ± 8 ms, so far off only roughly")
-    assert far.sentence.endswith("laboratory.encoder_delay_s, and run again")
+    assert far.sentence.startswith(
+        "-63 ± 8 ms, too far off for more than a rough value"
+    )
+    assert far.sentence.endswith(
+        "laboratory.encoder_delay_s to about this, and run again"
+    )
     unfound = clock_checks([trial])
     assert [c.holds for c in unfound] == [False, False]
     assert unfound[0].sentence == "left to the calibration, unsure"

@@ -489,7 +489,7 @@ def test_a_drive_has_limits_and_friction_is_not_the_drive_s(wearer, today):
 def test_limits_on_drives_that_cannot_be_are_refused(wearer, today):
     for limits, said in (
         ({"knee": KNEE}, "device has no such joint; it has exo_ankle"),
-        ({"exo_ankle": DriveLimits(0.1)}, "up to 0.495 N m, which a design"),
+        ({"exo_ankle": DriveLimits(0.1)}, "up to 0.495 N m, which the design"),
     ):
         settings = replace(SETTINGS, limits=DesignLimits(drives=limits))
         with pytest.raises(InputError, match=said):

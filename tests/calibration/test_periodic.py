@@ -83,7 +83,7 @@ def test_left_and_right_are_exchanged():
     names = Coordinates((*root, *legs))
     found = mirrored(names) @ [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
     np.testing.assert_array_equal(found, [1, 2, 3, 6, 7, 4, 5])
-    with pytest.raises(InputError, match="ankle is of both legs"):
+    with pytest.raises(InputError, match="ankle stands for both legs"):
         mirrored(nominal_model("human").coordinates)
 
 
@@ -103,7 +103,7 @@ def test_joints_of_a_device_may_count_the_other_way_on_the_other_side():
     human = mirrored(Coordinates(names.body))
     np.testing.assert_array_equal(mirrored(names) @ S, S @ human)
     knee = ((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    with pytest.raises(InputError, match="motor_left is not beside"):
+    with pytest.raises(InputError, match="motor_left turns with other"):
         mirrored(replace(names, coupling=knee))
 
 

@@ -197,7 +197,7 @@ def test_what_is_solved_is_written_before_another_trial_is_refused(
     monkeypatch.setattr(Prediction, "audit", lambda found: audit)
     with (
         undrawn(),
-        pytest.raises(InputError, match="rise2: q holds what is no finite"),
+        pytest.raises(InputError, match="rise2: q holds values that are not"),
         prepare_output_folder(tmp_path / "out") as folder,
     ):
         write_predictions(study, nominal_contact(model), folder)

@@ -103,7 +103,7 @@ def cuff(contact, old, new):
     ("change", "words"),
     [
         (lambda c: sphere(c, "toe", "midfoot"), "midfoot.*heel, toe"),
-        (lambda c: sphere(c, "toe", "heel"), "over the sphere heel alone"),
+        (lambda c: sphere(c, "toe", "heel"), "only the sphere heel to roll"),
         (lambda c: cuff(c, "thigh", "trunk"), "trunk, not .* thigh; calib"),
         (lambda c: ContactModel(c.ground), "interaction parameters"),
     ],

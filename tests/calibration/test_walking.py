@@ -197,7 +197,9 @@ def test_a_step_repeats_itself_and_tracks_nothing(study, calibrated):
 def test_a_line_is_no_start_for_steps(study, calibrated):
     (trial,) = study.trials("prediction")
     settings = replace(study.prediction, guess="line")
-    with pytest.raises(InputError, match="no start for legs that step"):
+    with pytest.raises(
+        InputError, match="cannot start a movement whose legs step"
+    ):
         predict(study, trial, calibrated.contact, settings=settings)
 
 
@@ -223,7 +225,7 @@ def test_one_leg_makes_no_step():
     model, (trial,) = synthetic.rises_on_spheres(1, nodes_per_second=40)
     settings = PredictionSettings(ends="periodic")
     contact = FootGroundCalibration(model, [trial]).contact
-    with pytest.raises(InputError, match="is of both legs at once"):
+    with pytest.raises(InputError, match="stands for both legs at once"):
         PeriodicStep(model, [trial], contact, settings)
     with pytest.raises(ValueError, match="periodic ends"):
         PredictionProblem(model, [trial], contact, settings)

@@ -102,12 +102,14 @@ def test_the_only_trial_with_encoders_is_not_left_out(
     code, summary = left_out(tmp_path / "one")
     assert code == 0
     assert [f["trial"] for f in summary["folds"]] == ["b", "c"]
-    assert "a alone has encoders, and is never left" in capsys.readouterr().out
-    assert "mats of thigh are in one trial alone" in summary["sentence"]
+    assert (
+        "a is never left out: it is the only trial" in capsys.readouterr().out
+    )
+    assert "only one trial has mats of thigh" in summary["sentence"]
     left_out.trials[0].cuffs += ["thigh", "shank"]
     _, summary = left_out(tmp_path / "told")
     # That trial tells the thigh's force always; of its shank nothing is asked.
-    assert "alone" not in summary["sentence"]
+    assert "only one" not in summary["sentence"]
     for trial in left_out.trials[1:]:
         trial.cuffs = []
     with pytest.raises(InputError, match="no trial that can be left out has"):
@@ -118,7 +120,7 @@ def test_crossvalidation_goes_over_all_unless_it_is_stopped(left_out, tmp_path):
     code, summary = left_out(tmp_path / "whole")
     assert code == 0 and len(summary["folds"]) == 3
     assert summary["ratio"] == pytest.approx(0.25)
-    assert "mats of thigh are in one trial alone" in summary["sentence"]
+    assert "only one trial has mats of thigh" in summary["sentence"]
     code, summary = left_out(tmp_path / "stopped", b=True)
     assert code == STOPPED_CODE
     assert [f["trial"] for f in summary["folds"]] == ["a", "b"]

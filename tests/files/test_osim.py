@@ -92,7 +92,7 @@ def test_splines_are_opensims(tmp_path):
         (
             '<Coordinate name="pelvis_tilt"/>',
             "",
-            "a PlanarJoint has 3 coordinates, and here are 2",
+            "a PlanarJoint has 3 coordinates, but this one has 2",
         ),
         ("translation2", "translation1", "of rotation1, .*, translation3 once"),
         ('"rotation2"', '"turn2"', "of rotation1, .*, translation3 once"),

@@ -122,5 +122,5 @@ def Spring_(T):
 def test_a_copy_that_forgets_its_values_is_told():
     """A prediction would be solved with derivatives of another controller."""
     ControllerKernel(Spring_[float](20.0), 3)
-    with pytest.raises(InputError, match="gives other torques; hand its"):
+    with pytest.raises(InputError, match="gives other torques once it"):
         ControllerKernel(Spring_[float](20.0, kept=False), 3)
