@@ -225,8 +225,9 @@ class Study:
         worn = parts.get("foot_ground")
         if worn and worn.of_sole and parts["sole"] is None:
             raise InputError(
-                f"foot_ground.law is {str(worn.law)!r}, of a sole that the "
-                "study has not; give sole=drake_exo.contact.SoleLaw.read(...)"
+                f"foot_ground.law is {str(worn.law)!r}, the law of a sole that "
+                "the study does not have; give "
+                "sole=drake_exo.contact.SoleLaw.read(...)"
             )
         super().__setattr__(name, value)
 

@@ -62,8 +62,16 @@ def test_data_root_must_be_a_folder(tmp_path):
         ("{left: 2, right: 1}", "{left: 1, right: 1}", "'both: 1'"),
         ("{left: 2, right: 1}", "{left: 2, both: 1}", "name the plates"),
         ("name: rise2", "name: rise1", "two trials are named 'rise1'"),
-        ("name: rise2", "name: quality", "trials[1].name is 'quality', as a"),
-        ("name: rise2", "name: Summary", "trials[1].name is 'Summary', as a"),
+        (
+            "name: rise2",
+            "name: quality",
+            "trials[1].name is 'quality', a name that a",
+        ),
+        (
+            "name: rise2",
+            "name: Summary",
+            "trials[1].name is 'Summary', a name that a",
+        ),
         ("rise: 1", "start_s: 2\n    end_s: 1", "end_s (1) must be after"),
         ("model: human", "model: humn", "did you mean 'human'"),
         (
@@ -133,7 +141,7 @@ def test_data_root_must_be_a_folder(tmp_path):
         (
             "model: human",
             "model: {device: {weld: {exo_foot: foot}, fixed: [exo_knee]}}",
-            "fixed and forward are of a device's file",
+            "fixed and forward belong to a device's file",
         ),
         (
             "model: human",
@@ -143,7 +151,7 @@ def test_data_root_must_be_a_folder(tmp_path):
         (
             "model: human",
             "  segments: {toe_m: [0.1, -0.05]}\nmodel: coupled",
-            "subject.segments.toe_m is no sphere's place",
+            "subject.segments.toe_m places a sphere on the foot",
         ),
         (
             "model: human",
@@ -217,7 +225,10 @@ def test_a_study_in_python_is_checked_as_its_file():
     for words, wrong in (
         ("has no 'heal'; it has heel", {"spheres": {"heal": sphere}}),
         ("'simbody' has no 'friction'", {"constants": {"friction": 1.0}}),
-        ("law is 'sole.yaml', of a sole that", {"law": Path("sole.yaml")}),
+        (
+            "law is 'sole.yaml', the law of a sole that",
+            {"law": Path("sole.yaml")},
+        ),
     ):
         settings = dx.FootGroundSettings(**wrong)
         with pytest.raises(InputError, match=words):

@@ -540,9 +540,9 @@ def _chair(e: Evidence) -> Check:
     return e.check(
         "chair",
         rms,
-        f"feet and chair together miss {rms:.0f} N RMS of what the motion "
-        "asks for over the whole recording; the plate named as plates.chair "
-        "may be another, or not measure",
+        f"feet and chair together miss {rms:.0f} N RMS of what the motion asks "
+        "for over the whole recording; plates.chair may name the wrong plate, "
+        "or one that does not measure",
     )
 
 
@@ -594,7 +594,7 @@ def standing_checks(
         100.0 * abs(ratio - 1.0),
         "standing",
         f"{standing.markers}: the hips are {leg:.2f} m above the floor, which "
-        f"is {100 * ratio:.0f} % of what subject.height_m makes usual; check "
+        f"is {100 * ratio:.0f} % of what is usual for subject.height_m; check "
         "the height, or markers.joint_centres",
         level="note",
     )
@@ -1252,9 +1252,9 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
             "force_clock",
             abs(lag),
             f"forces of all {len(evidence)} trials fit the motion {better:.2g} "
-            f"times better {lag:+.0f} ms away; plates are filtered otherwise, "
-            "or their clock is not the markers' "
-            "(laboratory.estimate_force_delay)",
+            f"times better if they are taken as {lag:+.0f} ms late; plates are "
+            "filtered differently from markers, or their clock is not the "
+            "markers' (laboratory.estimate_force_delay)",
             limit=LARGEST_COMMON_LAG_MS,
             level="note",
         )
@@ -1265,9 +1265,9 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
         yield e.check(
             "force_clock",
             abs(lag),
-            f"forces fit the motion {better:.1f} times better {lag:+.0f} ms "
-            "away; the plates' clock is not the markers' "
-            "(laboratory.estimate_force_delay)",
+            f"forces fit the motion {better:.1f} times better if they are "
+            f"taken as {lag:+.0f} ms late; the plates' clock is not the "
+            "markers' (laboratory.estimate_force_delay)",
         )
         others = [
             j
@@ -1467,14 +1467,15 @@ def wearer_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
         if np.isnan(row).all():
             continue
         best = int(np.nanargmin(row))
-        others = "every other trial"
-        if np.sum(~np.isnan(row)) == 1:
-            others = f"{known[best].trial.name}, or of the two that one's"
+        others, files = "every other trial", "the encoders' file"
+        if np.sum(~np.isnan(row)) == 1:  # of two trials either may be the one
+            others = known[best].trial.name
+            files += f", or that of {others},"
         yield e.check(
             "encoder_stranger",
             row[best],
-            f"the device moves against the person otherwise than in {others}; "
-            "the encoders' file may be of a trial that is not in the study",
+            f"the device moves differently on the person than in {others}; "
+            f"{files} may be of a trial that is not in the study",
         )
 
 

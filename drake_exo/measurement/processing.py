@@ -496,9 +496,9 @@ def _borne_by_feet(motion, forces: FootForces, rigid: Model) -> np.ndarray:
         used = F_z > 0.5 * rigid.tree.weight
     if not (used & motion.known).any():
         raise InputError(
-            f"{forces.source}: the plates bear {F_z.max():.3g} N at most, the "
-            f"body weighs {rigid.tree.weight:.0f} N; check plates and the unit "
-            "of force (N, not kN), or do not estimate_force_delay"
+            f"{forces.source}: the plates bear {F_z.max():.3g} N at most, but "
+            f"the body weighs {rigid.tree.weight:.0f} N; check plates and the "
+            "unit of force (N, not kN), or do not estimate_force_delay"
         )
     return used & motion.known
 

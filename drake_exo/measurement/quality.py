@@ -185,8 +185,8 @@ def _of_trial(subject: SubjectModel, trial: Trial) -> TrialQuality:
         if abs(d) > LARGEST_DELAY_S
     ]
     warnings += [
-        f"stuck cells of {mat}: {found['stuck_cells']} never change, twice as "
-        "high as all others, and their force is in the cuff's"
+        f"stuck cells of {mat}: {found['stuck_cells']} never change, are twice "
+        "as high as all others, and count in the cuff's force"
         for mat, found in said["mats"].items()
         if "stuck_cells" in found
     ]

@@ -421,7 +421,7 @@ def check_loaded(
         "subject.mass_kg, a device's masses and the part that is used"
     )
     raise InputError(
-        f"{source}: the feet bear {most:.4g} N at most ({where}), the body "
+        f"{source}: the feet bear {most:.4g} N at most ({where}), but the body "
         f"weighs {weight:.0f} N; {cause}"
     )
 

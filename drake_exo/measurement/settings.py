@@ -660,8 +660,8 @@ class RecordingSettings:
             check_file_name(f"trials[{i}].name", name)
             if name.lower() in _TAKEN:
                 raise InputError(
-                    f"trials[{i}].name is {name!r}, as a command calls a file "
-                    "of its own; rename the trial"
+                    f"trials[{i}].name is {name!r}, a name that a command "
+                    "gives a file of its own; rename the trial"
                 )
             if names.count(name) > 1:
                 raise InputError(f"two trials are named {name!r}; rename one")
@@ -680,22 +680,23 @@ class RecordingSettings:
                     )
         if self.assembly.human.sides and self.laboratory.chair_on_thighs:
             raise InputError(
-                "laboratory.chair_on_thighs is for legs that move alike; of "
+                "laboratory.chair_on_thighs is for legs that move alike; with "
                 "two legs the chair's plate does not tell which thigh bears "
                 "what: leave it out"
             )
         worn, fitted = self.assembly.device, ExoskeletonOverrides()
         if worn and worn.file and self.exoskeleton != fitted:
             raise InputError(
-                "exoskeleton has values of the shipped device, but the "
-                f"model's is {worn.name}; state them in that file, and leave "
+                "exoskeleton has values of the shipped device, but the model's "
+                f"device is {worn.name}; state them in that file, and leave "
                 "exoskeleton out"
             )
         for key in ("heel_m", "toe_m"):
             if self.assembly.is_fitted and getattr(self.subject.segments, key):
                 raise InputError(
-                    f"subject.segments.{key} is no sphere's place where the "
-                    f"exoskeleton's foot-plate touches; give exoskeleton.{key}"
+                    f"subject.segments.{key} places a sphere on the foot, but "
+                    "here the exoskeleton's foot-plate touches the ground; "
+                    f"give exoskeleton.{key}"
                 )
         segments = self.assembly.human.segments
         for trial in self.trials:
@@ -711,7 +712,8 @@ class RecordingSettings:
             if self.assembly.human.sides and legs != "both":
                 raise InputError(
                     f"device.{key} is {legs!r}, which takes one leg for both; "
-                    "of two legs each joint is one leg's own: leave it out"
+                    "in a model with two legs each joint belongs to one leg: "
+                    "leave it out"
                 )
         cuffs = self.assembly.closed
         for name, mat in self.mats.items():
@@ -723,8 +725,8 @@ class RecordingSettings:
             if self.assembly.human.sides and mat.legs != "both":
                 raise InputError(
                     f"mats.{name}: legs is {mat.legs!r}, which doubles the "
-                    "force; of two legs each cuff is one leg's own: leave it "
-                    "out"
+                    "force; in a model with two legs each cuff belongs to one "
+                    "leg: leave it out"
                 )
 
     @property

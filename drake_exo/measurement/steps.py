@@ -189,8 +189,8 @@ def _one_plate(time, each, part, numbers, where) -> int:
         when = float(max(time[loaded[a]][0], time[loaded[b]][0]))
         raise InputError(
             f"{where}: the step lies on plates {numbers[a]} and {numbers[b]} "
-            f"(from {when:.2f} s on); where it is one of them cannot be told "
-            "apart from the other foot: take another step"
+            f"(from {when:.2f} s on); there the force of this foot cannot be "
+            "told apart from that of the other: take another step"
         )
     return used[0] if used else 0
 
@@ -234,7 +234,7 @@ def _names(settings: RecordingSettings, foot: Side) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(on))
     if len(names) < 3:
         raise InputError(
-            f"markers.segments.foot.{foot}: the foot's pose takes three "
+            f"markers.segments.foot.{foot}: the foot's pose needs three "
             "markers on foot and toes; name them"
         )
     return names

@@ -299,8 +299,8 @@ class Trial:
         ).all():
             raise InputError(
                 f"trial {self.name}: times from {times.min():g} to "
-                f"{times.max():g} s are asked for, it lasts from {first:g} to "
-                f"{last:g} s; ask within that"
+                f"{times.max():g} s are asked for, but it lasts from {first:g} "
+                f"to {last:g} s; ask within that"
             )
         arrays = {
             name: CubicSpline(self.times, x)(times)

@@ -140,9 +140,9 @@ class DeviceFile:
             )
         if self.file is None and (self.fixed or self.forward != "x"):
             raise InputError(
-                "fixed and forward are of a device's file, and the shipped "
-                "exoskeleton has its joints and axes; name a file, or leave "
-                "them out"
+                "fixed and forward belong to a device's file, but the shipped "
+                "exoskeleton has joints and axes of its own; name a file, or "
+                "leave them out"
             )
 
     @property
@@ -251,8 +251,8 @@ class Assembly:
         found = [self.ground[b] for b in other if b in self.ground]
         if len(found) != 1 or found == ["same"]:
             raise InputError(
-                f"ground: {body} is the same as nothing; name its spheres, or "
-                "those of that segment of the other leg"
+                f"ground: {body} is 'same', but that segment of the other leg "
+                "names no spheres; name the spheres of either"
             )
         return found[0]
 

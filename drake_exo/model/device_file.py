@@ -75,8 +75,8 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
         space, _, tag = element.tag.rpartition("}")
         if "drake" in space and tag != "collision_filter_group":
             raise InputError(
-                f"{device.name}: drake:{tag} holds links together, which only "
-                "hinges do here, and no loops; take it out, and give a spring "
+                f"{device.name}: drake:{tag} holds links together, but here "
+                "only hinges do, without loops; take it out, and give a spring "
                 "across a hinge as device.joints.NAME"
             )
         for limits in element.findall("safety_controller"):
@@ -91,8 +91,8 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
         if follows and not stays:
             raise InputError(
                 f"{device.name}: joint {name!r} follows another one (mimic), "
-                "here every joint turns by itself; take it out, or make the "
-                "joint fixed"
+                "but here every joint turns by itself; take it out, or make "
+                "the joint fixed"
             )
     for name in device.fixed:
         if name not in joints:
@@ -197,7 +197,7 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
             inertia.set(key, "0")
     yield (
         f"{where}: no body has such products of inertia; they are left out, "
-        f"its {b:g} kg m^2 about y stay"
+        f"its {b:g} kg m^2 about y are kept"
     )
 
 

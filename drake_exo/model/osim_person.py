@@ -162,7 +162,7 @@ def _segments(osim: OsimModel) -> dict[str, tuple[str, str | None]]:
         if joint.parent == "ground" and joint.child != "pelvis":
             raise InputError(
                 f"{osim.source}: joint {joint.name!r} ties {joint.child!r} to "
-                "the ground; of a person the pelvis is"
+                "the ground; in a person only the pelvis may be tied to it"
             )
         above = found.get(joint.parent, ("pelvis", None))
         found[joint.child] = known.get(joint.child, above)

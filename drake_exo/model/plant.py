@@ -182,8 +182,9 @@ class Model:
         for cuff in self.assembly.closed:
             if cuff not in tree.cuffs:
                 raise InputError(
-                    f"cuff {cuff!r} joins no two links that move against each "
-                    f"other; {_FITTED if self.assembly.is_fitted else _OWN}"
+                    f"cuff {cuff!r} does not join two links that move against "
+                    "each other; "
+                    f"{_FITTED if self.assembly.is_fitted else _OWN}"
                 )
         if device is None or self.assembly.is_fitted:
             return tree
@@ -191,8 +192,8 @@ class Model:
         for joint in names.device:
             if names.names.count(joint) > 1:
                 raise InputError(
-                    f"{device.name}: joint {joint!r} is called as one of the "
-                    "person's; rename it in the file"
+                    f"{device.name}: joint {joint!r} has the name of one of "
+                    "the person's joints; rename it in the file"
                 )
             if not _COLUMN.fullmatch(joint):
                 raise InputError(
@@ -412,8 +413,8 @@ def _check_links(plant, worn, assembly: Assembly) -> None:
             raise missing_link(assembly.device, cuff.device, known)
         if name + _SHELL in known:
             raise InputError(
-                f"{assembly.device.name}: link {name + _SHELL!r} is called as "
-                f"what cuff {name!r} holds; rename the cuff"
+                f"{assembly.device.name}: link {name + _SHELL!r} has the name "
+                f"of what cuff {name!r} holds on to; rename the cuff"
             )
 
 

@@ -46,8 +46,8 @@ def check(
     size = problem.program.prog.num_vars()
     if np.shape(guess) != (size,):
         raise InputError(
-            f"the guess has the shape {np.shape(guess)}, but the program "
-            f"{size} variables; give a value of each"
+            f"the guess has the shape {np.shape(guess)}, but the program has "
+            f"{size} variables; give one value for each"
         )
     if not np.isfinite(guess).all():
         bad = int(np.flatnonzero(~np.isfinite(guess))[0])

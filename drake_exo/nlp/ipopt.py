@@ -484,7 +484,7 @@ def _attempt(problem, y0, options, watch):
         except ValueError as error:
             raise InputError(
                 f"IPOPT takes no option {name!r} of {value!r}; see its list of "
-                "options, and write what it calls a real number with a point"
+                "options, and write a real number with a decimal point"
             ) from error
     # A trial step may go far off; IPOPT shortens it when it sees infinity.
     with np.errstate(all="ignore"):

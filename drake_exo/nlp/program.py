@@ -141,8 +141,8 @@ class BatchedProgram:
     def __getstate__(self):
         # Of a calibration or prediction that another process is given.
         raise TypeError(
-            "what is solved holds a Drake program, which cannot be pickled or "
-            "copied; pass on a calibration's contact and trials or a "
+            "a solved problem holds a Drake program, which cannot be pickled "
+            "or copied; pass on a calibration's contact and trials or a "
             "prediction's result.trials, or the folder that write() made, for "
             "read_contact and read_trial"
         )

@@ -170,16 +170,16 @@ def check_one_study(found: Sequence[Results]) -> None:
     for r in found:
         if r.summary["subject"] != found[0].summary["subject"]:
             raise InputError(
-                f"{r.folder}: is of subject {r.summary['subject']!r}, "
-                f"{found[0].folder} of {found[0].summary['subject']!r}; report "
-                "a folder of one subject"
+                f"{r.folder}: is of subject {r.summary['subject']!r}, but "
+                f"{found[0].folder} is of {found[0].summary['subject']!r}; "
+                "report a folder of one subject"
             )
         label = r.label if r.phase == "prediction" else ""
         other = first.setdefault((r.phase, label), r)
         if other is not r:
             raise InputError(
-                f"{r.folder}: and {other.folder} are both {label or r.phase}; "
-                "report a folder with one of them"
+                f"{r.folder}: this and {other.folder} are both "
+                f"{label or r.phase}; report a folder with one of them"
             )
 
 
@@ -439,8 +439,8 @@ def compare(folders: Sequence[str | Path]) -> Comparison:
     for r in results[1:]:
         if r.phase != first.phase:
             raise InputError(
-                f"{first.folder} is of phase {first.phase}, {r.folder} of "
-                f"{r.phase}; compare results of one phase"
+                f"{first.folder} is of phase {first.phase}, but {r.folder} is "
+                f"of {r.phase}; compare results of one phase"
             )
     names = [[row["trial"] for row in r.summary["rmsd"]] for r in results]
     common = tuple(n for n in names[0] if all(n in own for own in names))

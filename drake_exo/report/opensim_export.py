@@ -508,7 +508,7 @@ def export_opensim(
     if contact.ground.constants.friction_rounding:
         raise InputError(
             f"{folder}: its friction is rounded at the transition velocity, "
-            "OpenSim's has a corner there; calibrate with "
+            "but OpenSim's has a corner there; calibrate with "
             "foot_ground.constants.friction_rounding: 0"
         )
     if model.assembly.human.osim is None:

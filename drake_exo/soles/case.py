@@ -136,8 +136,8 @@ class Case(Setup):
         keys = "", self.key, in_own_walk(self).key
         if resume is not None and resume.key not in keys:
             raise InputError(
-                "resume: the checkpoint is of other settings, another mesh "
-                "or load of this case; only iterations may change"
+                "resume: the checkpoint is of other settings, another mesh or "
+                "another load of this case; only iterations may change"
             )
         folder = None if folder is None else path_of(folder, "folder")
         say = say or (lambda text: None)

@@ -117,8 +117,8 @@ class Load:
             mirrors = np.linalg.det(np.nan_to_num(self.rotation)) < 0
             if (np.abs(square - np.eye(3)) > 1e-6).any() or mirrors.any():
                 raise InputError(
-                    f"{self.name}: rotation holds what turns nothing; give "
-                    "rotation matrices"
+                    f"{self.name}: rotation holds matrices that are not "
+                    "rotations; give rotation matrices"
                 )
         if len(self.times) == 0:
             raise InputError(f"{self.name}: no samples; widen the window")
@@ -306,10 +306,10 @@ class Load:
             q = int(np.argmax(beyond))
             raise InputError(
                 f"{self.name}: the force at {self.times[q]:g} s asks for a "
-                f"friction of {asked[q]:.3f} (along over across the ground; "
-                f"{beyond.sum()} of {len(beyond)} samples), and "
-                f"contact.friction is {friction:g}: the sole slips away; "
-                "leave these samples out (least_force_n, from, to; of a "
+                f"friction of {asked[q]:.3f} (force along the ground over "
+                f"force across it; {beyond.sum()} of {len(beyond)} samples), "
+                f"but contact.friction is {friction:g}: the sole slips away; "
+                "leave these samples out (least_force_n, from, to; in a "
                 "pattern least_share), or give a larger contact.friction"
             )
 
@@ -366,14 +366,14 @@ class Load:
             off = np.subtract(*(s.min(axis=0) + s.max(axis=0) for s in spans))
             raise InputError(
                 f"{self.name}: the ZMP is outside the sole by "
-                f"{1e3 * distance[q]:.1f} mm at {self.times[q]:g} s "
-                f"(x {x:.4f} m, y {y:.4f} m in the load's frame, "
-                f"{outside.sum()} of {len(outside)} samples); the middle of "
-                f"its path lies {500 * off[0]:.0f} mm before and "
-                f"{500 * off[1]:.0f} mm left of the sole's: move the load "
-                "(origin_m and yaw_rad, shift_m of a recording) or the block "
-                "start, take a larger sole, or leave these samples out "
-                "(least_force_n, from, to; of a pattern least_share)"
+                f"{1e3 * distance[q]:.1f} mm at {self.times[q]:g} s (x {x:.4f} "
+                f"m, y {y:.4f} m in the load's frame, {outside.sum()} of "
+                f"{len(outside)} samples); the middle of its path lies "
+                f"{500 * off[0]:.0f} mm before and {500 * off[1]:.0f} mm left "
+                "of the sole's: move the load (origin_m and yaw_rad; in a "
+                "recording shift_m) or the block start, take a larger sole, or "
+                "leave these samples out (least_force_n, from, to; in a "
+                "pattern least_share)"
             )
 
 
@@ -419,8 +419,8 @@ def read_csv(path) -> Load:
         weights = weight[begins]
         if not ((weight > 0) & (weight == weights[phase])).all():
             raise InputError(
-                f"{path}: column 'weight' has to be above 0, and one number "
-                "in all rows of a load"
+                f"{path}: column 'weight' has to be above 0, and the same in "
+                "all rows of a load"
             )
         for k in begins[1:]:  # where it has a clock of its own
             if t[k] <= t[k - 1]:

@@ -685,7 +685,7 @@ class SphericalSpline:
         held = np.isin(tied, tied[held])  # with those it is tied to
         if held.all():
             raise InputError(
-                "optimize.shape: nothing of the sole is left to change; give "
+                "optimize.shape: no part of the sole is left to change; give "
                 "smaller fixed patches, more intervals, or a frame whose "
                 "origin lies in a top that is fixed (mesh.origin_m)"
             )

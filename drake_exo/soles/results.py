@@ -126,9 +126,9 @@ def _notes(step):
     more = max(apart, default=0.0)
     yield (
         "load_spacing", more <= _APART, more, _APART, "",
-        f"samples are up to {1 + more:.3g} times as far apart as usual: what "
-        "is not there counts for nothing in c_tr and c_rot; put in the rows "
-        "that are missing, or give them evenly",
+        f"samples are up to {1 + more:.3g} times as far apart as usual, and "
+        "the time without samples counts for nothing in c_tr and c_rot; add "
+        "the missing rows, or space samples evenly",
     )  # fmt: skip
     measured = load.is_measured
     if measured.any():
@@ -146,14 +146,14 @@ def _notes(step):
             "tilt", tilt <= _TILT_DEG, tilt, _TILT_DEG, "°",
             "the foot leans far over: a small push may tip it"
             if tilt < 90.0
-            else "the foot has turned over: what was found there is no step",
+            else "the foot has turned over: what was found there is not a step",
         )  # fmt: skip
         margin = float(np.nanmin(step.stability[free]))
         loose = int(np.sum(step.stability[free] <= 0))
         yield (
             "stability", margin > 0, margin, 0.0, "N/m",
-            f"samples not shown to be stable: {loose}; under a force that "
-            "stays as it is the foot may tip there",
+            f"samples not shown to be stable: {loose}; there the foot may tip "
+            "under a force that stays constant",
         )  # fmt: skip
     used, limit = step.setup.friction_used, _NEAR_SLIP * step.law.friction
     yield (
@@ -164,21 +164,21 @@ def _notes(step):
     if lost is not None:
         yield (
             "surface", lost <= _LOST, lost, _LOST, "",
-            "so much of the file's surface is not in the mesh: grooves, ribs "
-            "or holes narrower than elements; give more mesh.tets, or leave "
-            "them out of the file",
+            "this share of the file's surface is missing in the mesh, in "
+            "grooves, ribs or holes narrower than elements; give more "
+            "mesh.tets, or leave them out of the file",
         )  # fmt: skip
     yield (
         "undercut", undercut <= _UNDERCUT, undercut, _UNDERCUT, "",
-        "so much of the bare surface faces upwards: a rigid mould that opens "
-        "upwards does not let go of the sole",
+        "this share of the bare surface faces upwards: a rigid mould that "
+        "opens upwards does not let go of the sole",
     )  # fmt: skip
     if hollows := step.sole.mesh.hollows:
         yield (
             "hollow", False, float(hollows), 0.0, "",
-            "so many hollows are closed: nothing holds their cores in a "
-            "mould, nor takes them out of the sole; open them to the top, "
-            "fill them, or print the sole",
+            "this many hollows are closed: nothing holds their cores in a "
+            "mould, and they cannot be taken out of the sole; open them to the "
+            "top, fill them, or print the sole",
         )  # fmt: skip
 
 

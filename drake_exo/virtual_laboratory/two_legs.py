@@ -142,8 +142,8 @@ def write_movements(
         )
     if movement == "walk" and left_share != 0.5:
         raise InputError(
-            "left_share (--left-share) is of those who stand on both feet; "
-            "leave it out for a walk"
+            "left_share (--left-share) is for standing on both feet; leave it "
+            "out for a walk"
         )
     if not 0.1 <= left_share <= 0.9:
         raise InputError(

@@ -118,7 +118,9 @@ def test_bad_descriptions_end_a_command(folder, capsys, model, words):
 
 def test_values_of_another_device_are_not_passed_over(folder):
     shipped = {"exoskeleton": {"thigh": {"mass_kg": 2.0}}}
-    with pytest.raises(InputError, match=r"the model's is ankle_only\.urdf"):
+    with pytest.raises(
+        InputError, match=r"the model's device is ankle_only\.urdf"
+    ):
         write_recording(folder, nominal_human(), model=MODEL, **shipped)
 
 

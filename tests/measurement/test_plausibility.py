@@ -223,7 +223,7 @@ def test_forces_on_another_clock(folder, late_s):
     table = read_table(folder / "sts.mot")
     write_table(folder / "sts.mot", replace(table, time=table.time + late_s))
     text = said(folder, "force_clock")
-    assert f"better {1e3 * late_s:+.0f} ms away" in text
+    assert f"better if they are taken as {1e3 * late_s:+.0f} ms late;" in text
 
 
 def another_trial(folder, own="other.csv"):
@@ -311,7 +311,7 @@ def test_encoders_of_a_trial_that_is_not_in_the_study(folder, late_s):
     if found:  # of two trials either may be the one
         first, second = found["encoder_stranger"]
         assert first.startswith("rise1: exo.csv: the device moves")
-        assert "in rise2, or of the two that one's" in first
+        assert "in rise2; the encoders' file, or that of rise2, may be" in first
         assert second.startswith("rise2: other.csv: the device moves")
         assert "of a trial that is not in the study" in second
 
@@ -337,7 +337,7 @@ def test_a_third_trial_tells_whose_encoders_are_wrong(folder):
     warped(folder, "other.csv", 0.1)
     (sentence,) = failing(folder)["encoder_stranger"]
     assert sentence.startswith("rise2: other.csv")
-    assert "otherwise than in every other trial" in sentence
+    assert "differently on the person than in every other trial" in sentence
 
 
 @pytest.mark.slow

@@ -801,7 +801,7 @@ def test_a_clock_that_is_late_in_all_trials():
     assert told(found, "force_clock")[0] == (20.0, 12.0, False)
     assert found[0].level == "note"
     assert "forces of all 2 trials fit" in found[0].sentence
-    assert "times better +20 ms away" in found[0].sentence
+    assert "times better if they are taken as +20 ms late;" in found[0].sentence
     assert told(found, "force_clock")[1:] == [(20.0, 25.0, True)] * 2
     assert told(judged(0.02, -0.02), "force_clock")[0] == (0.0, 12.0, True)
     assert told(judged(0.06, 0.06), "force_clock")[0] == (0.0, 12.0, True)

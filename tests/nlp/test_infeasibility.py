@@ -33,7 +33,7 @@ def test_what_is_wrong_is_named():
 def test_a_guess_of_another_program_is_refused(shape):
     """A longer one would be read from its begin on."""
     problem = SparseProgram(valleys()[0])
-    with pytest.raises(InputError, match="but the program 6 variables"):
+    with pytest.raises(InputError, match="but the program has 6 variables"):
         infeasibility.check(problem, np.zeros(shape), {})
 
 

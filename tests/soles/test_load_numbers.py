@@ -89,7 +89,7 @@ def test_phases_of_a_load_stay_among_others(load):
         (lambda x: replace(x, force=[[1], [1, 2]]), "no numbers"),
         (
             lambda x: replace(x, rotation=[2 * np.eye(3)] * len(x.times)),
-            "turns nothing",
+            "are not rotations",
         ),
     ],
 )
@@ -193,7 +193,7 @@ def test_a_zmp_outside_is_told_by_how_much():
     assert "x 0.2050 m, y 0.0500 m" in said and "2 of 3 samples" in said
     # Its middle at (180, 50) mm, the sole's at (50, 10).
     assert "130 mm before and 40 mm left" in said and "least_force_n" in said
-    assert "of a pattern least_share" in said
+    assert "in a pattern least_share" in said
     edge = Load([0.0], force[:1], [[0.2, 0.06]])
     edge.check_inside(places)
     # Where the pose is given, it is only what was recorded.
@@ -405,7 +405,10 @@ _FORCE, _ZMP = [[0, 0, 300.0]] * 2, [[0.0, 0.01]] * 2
         ({"free_moment": [0.0]}, "free_moment has the shape"),
         ({"free_moment": [0.0, np.nan]}, "free_moment holds NaN"),
         ({"rotation": np.eye(3)}, "rotation has the shape"),
-        ({"rotation": [np.diag([1.0, -1, 1])] * 2}, "rotation holds what"),
+        (
+            {"rotation": [np.diag([1.0, -1, 1])] * 2},
+            "rotation holds matrices that are not",
+        ),
         ({"begins": (0, 5), "weights": (1.0, 1.0)}, "begins is"),
         ({"begins": (1,)}, "begins is"),
         ({"weights": (1.0, 2.0)}, "one above 0 for each of 1"),

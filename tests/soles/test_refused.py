@@ -38,7 +38,7 @@ def case(tmp_path):
         ("load,weight", "1,1 0,1", "'load' has to count from 0 on"),
         ("load,weight", "0,1 1,1 0,1", "'load' has to count from 0 on"),
         ("load,weight", "0,1 1,0", "'weight' has to be above 0"),
-        ("load,weight", "0,1 0,2", "one number in all rows of a load"),
+        ("load,weight", "0,1 0,2", "and the same in all rows of a load"),
     ],
 )
 def test_columns_of_loads(tmp_path, further, rows, words):

@@ -171,7 +171,10 @@ def test_a_patch_stays_on_the_meshes_of_all_stages():
     ("block", "words"),
     [
         ("{fixed_m: [[[1, 1, 1], [2, 2, 2]]]}", "fixed_m[0]"),
-        ("{fixed_m: [[[-1, -1, -1], [1, 1, 1]]]}", "nothing of the sole"),
+        (
+            "{fixed_m: [[[-1, -1, -1], [1, 1, 1]]]}",
+            "no part of the sole is left",
+        ),
         ("{least_depth_m: 0.05, largest_height_m: 0.04}", "below"),
         ("{draft_deg: 60}", "draft_deg"),
         ("{least_depth_m: 0}", "least_depth_m"),

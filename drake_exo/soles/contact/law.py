@@ -191,16 +191,16 @@ class Ground:
         apart = max(np.diff(lines_x).max(), np.diff(lines_y).max())
         if apart > _WIDEST_M:
             raise InputError(
-                f"{name}: its points lie up to {apart:g} m apart, and a sole "
-                "would see none of it; places are in metres"
+                f"{name}: its points lie up to {apart:g} m apart, too far for "
+                "a sole to stand on several; give places in metres"
             )
         slopes = np.hypot(*np.gradient(heights, lines_x, lines_y))
         if slopes.max() > _STEEPEST:
             a, b = np.unravel_index(slopes.argmax(), count)
             raise InputError(
                 f"{name}: near x {lines_x[a]:g} m, y {lines_y[b]:g} m the "
-                f"ground is as steep as {slopes.max():.3g}, and a sole stands "
-                "on none beyond 1 (45°); heights are in metres"
+                f"ground is as steep as {slopes.max():.3g}, but a sole cannot "
+                "stand on slopes above 1 (45°); give heights in metres"
             )
         return cls(lines_x, lines_y, heights)
 

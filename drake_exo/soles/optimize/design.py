@@ -336,20 +336,20 @@ class Design:
                 note(
                     "plausibility.law", bool(abs(change) <= _EXACT), change,
                     _EXACT, "c by the exact law with all samples differs by "
-                    "so much from that of the search: give optimize.stages a "
-                    "smaller layer_m (stiff soles, light loads) or more "
-                    "samples",
+                    "this share from c in the search: give "
+                    "optimize.stages a smaller layer_m (stiff soles, "
+                    "light loads) or more samples",
                 )  # fmt: skip
         if finer is not None:
             change = finer["change"]
             value, said = change, (
-                "c on a finer mesh differs by so much: the elements are too "
-                "coarse for the design"
+                "on a finer mesh c changes by this share; the elements are too "
+                "coarse for this design: optimise it on a finer mesh"
             )  # fmt: skip
             if np.isnan(change):
                 value = None
                 said = (
-                    "the design turns elements of a finer mesh over"
+                    "the design turns elements of a finer mesh inside out"
                     if finer["design"] is None
                     else "samples have no equilibrium on a finer mesh"
                 )

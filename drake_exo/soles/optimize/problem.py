@@ -71,9 +71,9 @@ class ShapeProblem:
         above = setup.mesh.nodes[:, 2].max()
         if above > _ABOVE * np.ptp(setup.mesh.nodes, axis=0).max():
             raise InputError(
-                f"mesh: the sole reaches {1e3 * above:.1f} mm above its "
-                "frame, and its shape is sought at z <= 0; give mesh.origin_m "
-                "in its top"
+                f"mesh: the sole reaches {1e3 * above:.1f} mm above its frame, "
+                "but its shape is sought at z <= 0; give mesh.origin_m in its "
+                "top"
             )
         self.setup, self.settings = setup, setup.settings
         self.mesh, self.spline = stage_mesh(setup.mesh, stage), setup.spline()

@@ -125,8 +125,8 @@ def optimise(
     def end(row: Ended) -> None:
         if row.state == "lost":
             raise InputError(
-                "optimize.starts: the process of a start was killed, for "
-                "want of memory perhaps; go on (resume) with one at once"
+                "optimize.starts: the process of a start was killed, perhaps "
+                "for want of memory; go on (resume) with one start at a time"
             )
         row.result()
 
