@@ -79,7 +79,7 @@ def check_names(names: Iterable[str], known: Iterable[str]) -> None:
         InputError: naming it, and those that are known.
     """
     if isinstance(names, str):
-        raise InputError(f"{names!r} is no list of names; give several")
+        raise InputError(f"{names!r} is not a list of names; give a list")
     known = list(known)
     for name in names:
         if name not in known:
@@ -146,7 +146,9 @@ def check_data_root(root: Path) -> None:
         InputError: naming it.
     """
     if not root.is_dir():
-        raise InputError(f"{root}: is no folder; check data_root (--data-root)")
+        raise InputError(
+            f"{root}: is not a folder; check data_root (--data-root)"
+        )
 
 
 def check_file_name(where: str, name: str) -> None:

@@ -192,7 +192,7 @@ def test_sums_do_not_depend_on_how_many_cores_there_are():
         ("sole report {long}", "File name too long"),
         ("sole reduce here --out .", "give a .yaml file for --out"),
         ("sole reduce here --out law.txt", "give a .yaml file for --out"),
-        ("sole study --data-root gone --out here", "gone: is no folder"),
+        ("sole study --data-root gone --out here", "gone: is not a folder"),
     ],
 )
 def test_a_path_that_cannot_be_is_one_sentence(

@@ -63,7 +63,7 @@ def test_force_makes_no_page_of_another_file(folder, capsys):
 
 @pytest.mark.parametrize(
     ("results", "words"),
-    [("nowhere", "is no folder"), ("empty", "holds no results")],
+    [("nowhere", "is not a folder"), ("empty", "holds no results")],
 )
 def test_bad_folder_ends_in_a_sentence(tmp_path, capsys, results, words):
     (tmp_path / "empty").mkdir()

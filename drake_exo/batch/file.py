@@ -388,8 +388,8 @@ def check_key(cls: type, key: str) -> None:
                 found += [a for a in typing.get_args(hint) if a is not ...]
         if not found:
             raise InputError(
-                f"sweep: {key!r} is no key: {part!r} is unknown"
-                f"{nearest(part, sorted(known))}"
+                f"sweep: {key!r} is not a key: {part!r} is "
+                f"unknown{nearest(part, sorted(known))}"
             )
         hints = [option for hint in found for option in _options(hint)]
 
@@ -450,7 +450,7 @@ def tasks_of(batch: BatchFile, folder: Path) -> list[Task]:
     subjects, soles = entries(batch, folder)
     root = None if batch.data_root is None else folder / batch.data_root
     if root is not None and not root.is_dir():
-        raise InputError(f"data_root: {batch.data_root} is no folder")
+        raise InputError(f"data_root: {batch.data_root} is not a folder")
     tasks: dict[str, Task] = {}
     digests = {e: _digests(e.path, root) for e in subjects + soles if e.path}
     further = {

@@ -523,8 +523,8 @@ def _prepared(out: Path, tasks: list[Task]):
             strange = any(out.iterdir()) and not (out / _MARK).is_file()
             if strange:
                 raise InputError(
-                    f"{out}: holds something that is no batch; choose another "
-                    "folder for --out"
+                    f"{out}: holds something that is not a batch; choose "
+                    "another folder for --out"
                 )
             held.enter_context(locked(out))
             write_json(out / _MARK, {task.name: task.key for task in tasks})

@@ -484,8 +484,8 @@ class BushingSettings:
     def __post_init__(self):
         if self.slip_n is not None and self.slip_n.lower <= 0.0:
             raise InputError(
-                f"slip_n: lower bound {self.slip_n.lower:g} is no force; give "
-                "one above 0, or null for a cuff that never slips"
+                f"slip_n: lower bound {self.slip_n.lower:g} is not a force; "
+                "give one above 0, or null for a cuff that never slips"
             )
         _check_not_negative(self)
         for name in ("tangential_n_m", "normal_n_m", "rotational_nm_rad"):

@@ -56,7 +56,7 @@ def count(text: str) -> int:
     """A whole number on the command line."""
     if not (text.isascii() and text.isdigit()):
         raise argparse.ArgumentTypeError(
-            f"{text!r} is no whole number from 0 on"
+            f"{text!r} is not a whole number from 0 on"
         )
     return int(text)
 
@@ -75,7 +75,7 @@ def above_zero(text: str) -> float:
     except ValueError:
         number = 0.0
     if not 0.0 < number < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is no number above 0")
+        raise argparse.ArgumentTypeError(f"{text} is not a number above 0")
     return number
 
 

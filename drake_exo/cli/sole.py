@@ -343,14 +343,16 @@ def _reduce(args) -> int:
             raise InputError(f"{path}: is there already; give --force")
     if rows.exists() and not args.out.exists():
         raise InputError(
-            f"{rows}: is no earlier law's table; give another name for --out"
+            f"{rows}: is not the table of an earlier law; give another name "
+            "for --out"
         )
     if args.out.exists():
         try:
             SoleLaw.read(args.out)
         except InputError as error:  # a case, say
             raise InputError(
-                f"{args.out}: is no earlier law; give another name for --out"
+                f"{args.out}: is not an earlier law; give another name for "
+                "--out"
             ) from error
     samples = soles.sole_samples(args.source)
     found = reduce_sole(samples, args.spheres, args.planar)

@@ -75,7 +75,7 @@ def write_view(results: Path, path: Path, accept: Sequence[str] = ()) -> None:
     results = Path(results)
     if not results.is_dir():
         raise InputError(
-            f"{results}: is no folder; give the --out folder of a command"
+            f"{results}: is not a folder; give the --out folder of a command"
         )
     # A half never loads the other one.
     if _holds_soles(results):

@@ -154,7 +154,7 @@ class SoleLaw:
             )
         for name in self.spheres:
             if "." in name or not name.strip():
-                raise InputError(f"spheres: {name!r} is no name; rename it")
+                raise InputError(f"spheres: {name!r} is not a name; rename it")
 
     @staticmethod
     def read(path: str | Path) -> "SoleLaw":

@@ -57,8 +57,9 @@ def inspect(path: str | Path) -> tuple[Section, ...]:
 
     >>> inspect("walk.avi")
     Traceback (most recent call last):
-    drake_exo.errors.InputError: walk.avi: is of no format that is read; give \
-one of .c3d, .trc, .mot, .sto, .csv, .asc, .osim, .stl, .obj, .ply, .vtk, .msh
+    drake_exo.errors.InputError: walk.avi: is not in a format that can be \
+read; give one of .c3d, .trc, .mot, .sto, .csv, .asc, .osim, .stl, .obj, \
+.ply, .vtk, .msh
     """
     readers: dict[str, Callable[[Path], list[Section]]] = {
         ".c3d": _of_c3d,
@@ -73,7 +74,7 @@ one of .c3d, .trc, .mot, .sto, .csv, .asc, .osim, .stl, .obj, .ply, .vtk, .msh
     kind = Path(path).suffix.lower()
     if kind not in readers:
         raise InputError(
-            f"{path}: is of no format that is read; give one of "
+            f"{path}: is not in a format that can be read; give one of "
             f"{', '.join(readers)}"
         )
     return tuple(readers[kind](Path(path)))

@@ -264,7 +264,7 @@ def read_osim(path: str | Path) -> OsimModel:
     try:
         root = ET.fromstring(read_text(path))
     except ET.ParseError as error:
-        raise InputError(f"{path}: is no XML ({error})") from error
+        raise InputError(f"{path}: is not XML ({error})") from error
     model = root.find("Model")
     if root.tag != "OpenSimDocument" or model is None:
         raise InputError(
@@ -284,7 +284,7 @@ def read_osim(path: str | Path) -> OsimModel:
         return _model(str(path), model)
     except (AttributeError, ValueError, TypeError, IndexError) as error:
         raise InputError(
-            f"{path}: is no complete model ({error}); open it in OpenSim 4 "
+            f"{path}: is not a complete model ({error}); open it in OpenSim 4 "
             "and save it"
         ) from error
 
@@ -381,7 +381,7 @@ def _joint(path: str, joint: ET.Element, bodies) -> OsimJoint:
             named = _last(frame.findtext("socket_parent"))
         if named not in bodies and not (end == "parent" and named == "ground"):
             raise InputError(
-                f"{where}: its {end} {named!r} is no body of the model"
+                f"{where}: its {end} {named!r} is not a body of the model"
             )
         ends.append((named, Pose(R, p)))
     (parent, X_PF), (child, X_CM) = ends

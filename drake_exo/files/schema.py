@@ -337,7 +337,7 @@ class _Reader:
             except (yaml.YAMLError, ValueError) as error:
                 raise self.error(
                     node,
-                    f"{where} is no text, number, list or mapping; give one",
+                    f"{where} is not a text, number, list or mapping; give one",
                 ) from error
         if not isinstance(node, yaml.ScalarNode) or _is_null(node):
             raise self._wrong(node, hint, where, meta)

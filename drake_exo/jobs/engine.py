@@ -220,7 +220,9 @@ def _chains(jobs: Sequence[Job]) -> dict[str, int]:
     for job in jobs:
         for need in job.needs:
             if need not in names:
-                raise InputError(f"{job.name} needs {need!r}, which is no job")
+                raise InputError(
+                    f"{job.name} needs {need!r}, which is not a job"
+                )
             followers[need].append(job.name)
     found: dict[str, int] = {}
     try:

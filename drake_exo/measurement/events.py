@@ -218,8 +218,8 @@ class FootEvent:
         match = re.fullmatch(known, " ".join(text.split()))
         if not match:
             raise InputError(
-                f"{text!r} is no event; say {' or '.join(_EVENTS)}, left or "
-                "right, and which from 1, as in 'heel_strike right 1'"
+                f"{text!r} is not an event; say {' or '.join(_EVENTS)}, left "
+                "or right, and which from 1, as in 'heel_strike right 1'"
             )
         return FootEvent(match[1], match[2], int(match[3]))
 

@@ -135,7 +135,7 @@ def _table(path: Path, joints: tuple[str, ...], ending: str) -> Table:
         return table
     if kind not in (".mot", ".sto"):
         raise InputError(
-            f"{path}: is no file of exoskeleton joints that can be read; "
+            f"{path}: is not a file of exoskeleton joints that can be read; "
             "give one of .mot, .sto, .csv"
         )
     table = read_table(path)

@@ -103,7 +103,7 @@ def read_surface(path: Path, scan: Scan) -> Surface:
     """
     if Path(path).suffix.lower() not in _SUFFIXES:
         raise InputError(
-            f"{path}: is no scan that can be read; give one of "
+            f"{path}: is not a scan that can be read; give one of "
             f"{', '.join(_SUFFIXES)}"
         )
     return _surface(path, scan.unit, scan.axes)
@@ -306,7 +306,7 @@ def _read(path: Path, names, mats: dict[str, Mat]) -> PressureRecording:
         return read_pressure_csv(path, sizes)
     if kind != ".asc":
         raise InputError(
-            f"{path}: is no pressure file that can be read; give Novel's "
+            f"{path}: is not a pressure file that can be read; give Novel's "
             ".asc or .csv"
         )
     recording = read_novel_asc(path)

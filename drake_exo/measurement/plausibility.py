@@ -584,7 +584,7 @@ def standing_checks(
         "standing",
         f"{standing.markers}: {worst} at {angles[worst]:.0f} deg in standing; "
         "laboratory.marker_axes may be wrong, markers.joint_centres may name "
-        "other markers, or this is no upright standing",
+        "other markers, or the subject does not stand upright",
     )
     leg = said["lengths_m"]["shank"] + said["lengths_m"]["thigh"]
     leg += said["ankle_height_m"]

@@ -258,7 +258,7 @@ def _reader(path: Path, readers: dict, what: str):
     kind = Path(path).suffix.lower()
     if kind not in readers:
         raise InputError(
-            f"{path}: is no {what} file that can be read; give one of "
+            f"{path}: is not a {what} file that can be read; give one of "
             f"{', '.join(readers)}"
         )
     return readers[kind]

@@ -424,13 +424,13 @@ def as_trials(trials) -> tuple[Trial, ...]:
             name.
     """
     if not isinstance(trials, Iterable) or isinstance(trials, str):
-        raise InputError(f"{trials!r:.60} is no list of trials; give several")
+        raise InputError(f"{trials!r:.60} is not a list of trials; give a list")
     found = tuple(trials)
     if not found:
         raise InputError("there are no trials; give at least one")
     for trial in found:
         if not isinstance(trial, Trial):
-            raise InputError(f"{trial!r:.60} is no trial; give a Trial")
+            raise InputError(f"{trial!r:.60} is not a trial; give a Trial")
     names = [trial.name for trial in found]
     for k, name in enumerate(names):
         if name in names[:k]:

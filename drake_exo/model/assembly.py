@@ -220,8 +220,8 @@ class Assembly:
         for name in (*self.cuffs, *spheres):  # parameters are NAME.KEY
             if "." in name or not name.strip():
                 raise InputError(
-                    f"{name!r} is no name of a cuff or sphere; give one "
-                    "without dots"
+                    f"{name!r} cannot be the name of a cuff or sphere; give "
+                    "one without dots"
                 )
             if name in self.cuffs and name in spheres:
                 raise InputError(

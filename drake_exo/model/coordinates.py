@@ -121,7 +121,7 @@ class Coordinates:
         place = self.index(name) - len(_ROOT)
         if place < 0:
             raise InputError(
-                f"{name!r} is no joint; known are {', '.join(self.joints)}"
+                f"{name!r} is not a joint; known are {', '.join(self.joints)}"
             )
         return place
 
@@ -199,7 +199,7 @@ def read_coordinates(plant: MultibodyPlant) -> Coordinates:
         raise ValueError(f"joint {root.name()!r} of the root is not planar")
     for joint in hinges:
         if joint.num_positions() != 1:
-            raise ValueError(f"joint {joint.name()!r} is no hinge")
+            raise ValueError(f"joint {joint.name()!r} is not a hinge")
     human = root.child_body().model_instance()
     return Coordinates(
         tuple(

@@ -48,7 +48,7 @@ def with_text(assembly: Assembly, root: Path) -> Assembly:
         )
     if path.suffix.lower() not in _KINDS:
         raise InputError(
-            f"{path}: is no device that can be read; give one of "
+            f"{path}: is not a device that can be read; give one of "
             f"{', '.join(_KINDS)}"
         )
     return brought_in(assembly, read_text(path, "check model.device.file"))
@@ -402,7 +402,7 @@ def _owner(device: DeviceFile, text: str) -> tuple[ET.Element, ET.Element]:
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
-        raise InputError(f"{device.name}: is no XML ({error})") from error
+        raise InputError(f"{device.name}: is not XML ({error})") from error
     owner = root if root.tag == "robot" else root.find("model")
     if owner is None or owner.find("model") is not None:
         raise InputError(

@@ -431,9 +431,9 @@ def check_top(corners: np.ndarray, top: np.ndarray, name, more="") -> None:
     part = up[top].sum() / up[up > 0].sum()
     if part < _LEAST_TOP:
         raise InputError(
-            f"{name}: its highest plane is no flat top ({part:.0%} of what is "
-            "seen from above); turn the sole so that the surface glued to the "
-            f"foot is on top{more}"
+            f"{name}: its highest plane is not a flat top ({part:.0%} of what "
+            "is seen from above); turn the sole so that the surface glued to "
+            f"the foot is on top{more}"
         )
 
 
@@ -449,7 +449,7 @@ def _guess_origin(mesh: TetMesh, extent: float, path) -> np.ndarray:
     area = 0.5 * mesh.areas(mesh.top_faces)[0][:, 2].sum()
     if 0 < area < _RECTANGLE * np.prod(high - low):
         raise InputError(
-            f"{path}: the top is no rectangle, and lies at z = {z:g} m, so "
+            f"{path}: the top is not a rectangle, and lies at z = {z:g} m, so "
             "that the place of the foot's frame cannot be guessed; give "
             "mesh.origin_m, or put the frame's origin at 0 in the file"
         )

@@ -277,7 +277,7 @@ def _united(path, nodes, faces) -> np.ndarray:
     beyond = sum((hollow - part).volume() for part, hollow in pairs)
     if beyond > 1e-6 * parts[0].volume():
         raise InputError(
-            f"{path}: a part that is turned inside out is no hollow within "
+            f"{path}: a part that is turned inside out is not a hollow within "
             "another; turn its normals outwards"
         )
     filled = [part - hollow for part, hollow in pairs]

@@ -116,7 +116,7 @@ def test_two_of_one_name(folder):
 
 def test_a_folder_of_data_that_is_none(folder):
     text = "steps: [check]\nstudies: ['*/study.yaml']\ndata_root: nix"
-    with pytest.raises(InputError, match="data_root: nix is no folder"):
+    with pytest.raises(InputError, match="data_root: nix is not a folder"):
         tasks_of(batch(text), folder)
 
 
@@ -204,7 +204,7 @@ sweep: {filter.cutoff_hz: [5, 6], contact.friction: [0.5, 0.8]}
     assert own == {f.name for f in fields(Settings)}
     for key in SOLE_KEYS:
         check_key(Settings, key)
-        with pytest.raises(InputError, match=f"'{key}' is no key"):
+        with pytest.raises(InputError, match=f"'{key}' is not a key"):
             check_key(StudyFile, key)
 
 

@@ -183,10 +183,13 @@ def test_damaged_task_files_are_none(tmp_path):
     [
         ("[--no-such]", "unrecognized arguments: --no-such"),
         ("[--help]", "options of predict: help"),
-        ("[--scale-interaction, '0']", "interaction: 0 is no number above 0"),
-        ("[--scale-interaction, '-1.4']", "-1.4 is no number above 0"),
-        ("[--torque-limit, nan]", "limit: nan is no number above 0"),
-        ("[--torque-limit, fast]", "limit: fast is no number above 0"),
+        (
+            "[--scale-interaction, '0']",
+            "interaction: 0 is not a number above 0",
+        ),
+        ("[--scale-interaction, '-1.4']", "-1.4 is not a number above 0"),
+        ("[--torque-limit, nan]", "limit: nan is not a number above 0"),
+        ("[--torque-limit, fast]", "limit: fast is not a number above 0"),
     ],
 )
 def test_options_are_parsed_before_anything_runs(tmp_path, options, words):

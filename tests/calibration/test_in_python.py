@@ -117,7 +117,7 @@ def test_names_and_values_of_a_contact_are_its_own(made, call, words):
 
 
 def test_names_of_variables_are_those_of_the_contact(posed):
-    with pytest.raises(InputError, match="no list of names"):
+    with pytest.raises(InputError, match="is not a list of names"):
         posed.variables_of("thigh.slip")
     with pytest.raises(InputError, match="no 'slip'"):
         posed.variables_of(["slip"])
@@ -185,9 +185,9 @@ def test_a_phase_is_posed_of_what_it_needs(made, phase):
             PHASES[phase](made, trials, settings, **known)
         return str(error.value)
 
-    assert "is no list of trials" in words(made.trials[0])
-    assert "is no list of trials" in words(None)
-    assert "is no trial" in words([made.model])
+    assert "is not a list of trials" in words(made.trials[0])
+    assert "is not a list of trials" in words(None)
+    assert "is not a trial" in words([made.model])
     assert "no trials" in words([])
     assert "settings is {}" in words(settings={})
     assert "give a" in words(settings=dx.settings.DesignSettings())

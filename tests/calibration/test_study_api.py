@@ -314,7 +314,7 @@ def test_input_of_the_api_is_told(study, made):
         dx.Study(made.model, [])
     with pytest.raises(dx.InputError, match="model is 'coupled'; give a"):
         dx.Study("coupled", made.trials)
-    with pytest.raises(dx.InputError, match="'rise1' is no trial"):
+    with pytest.raises(dx.InputError, match="'rise1' is not a trial"):
         dx.predict(study, "rise1", made.contact)
     with pytest.raises(dx.InputError, match="contact is None; give a"):
         dx.predict(study, trial, None)
@@ -324,9 +324,9 @@ def test_input_of_the_api_is_told(study, made):
     words = "knows the cuffs calf, not the model's shank, thigh, pelvis"
     with pytest.raises(dx.InputError, match=words):
         dx.predict(study, trial, other)
-    with pytest.raises(dx.InputError, match="is no list of trials"):
+    with pytest.raises(dx.InputError, match="is not a list of trials"):
         dx.calibrate_foot_ground(study, trial)
-    with pytest.raises(dx.InputError, match="'a' is no trial"):
+    with pytest.raises(dx.InputError, match="'a' is not a trial"):
         dx.calibrate_interaction(study, ["a"], made.contact)
     with pytest.raises(dx.InputError, match="0 trials found and 1 measured"):
         dx.plot_trials([], [trial])

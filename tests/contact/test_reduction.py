@@ -138,7 +138,7 @@ def test_too_few_samples_are_refused():
     with pytest.raises(InputError, match="take 2 or more"):
         fit(few, 0, False)
     for other in ("results", whole):  # a folder or a step, not what it says
-        with pytest.raises(InputError, match="sole_samples says"):
+        with pytest.raises(InputError, match="sole_samples returns"):
             reduce_sole(other, 3)
     # A centre of pressure tells nothing where hardly anything bears.
     force = np.where(np.arange(len(whole.force)) < 2, whole.force, 1e-9)
@@ -185,7 +185,7 @@ def test_force_replaces_no_file_but_a_law(tmp_path, capsys):
     case.write_text(EXAMPLE)
     argv = ["sole", "reduce", str(tmp_path), "--out", str(case), "--force"]
     assert cli.main(argv) == 2
-    assert "is no earlier law" in capsys.readouterr().err
+    assert "is not an earlier law" in capsys.readouterr().err
     assert case.read_text() == EXAMPLE
 
 

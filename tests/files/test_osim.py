@@ -74,15 +74,15 @@ def test_splines_are_opensims(tmp_path):
     ("old", "new", "words"),
     [
         ('Version="40000"', 'Version="30000"', "of OpenSim 30000; open it"),
-        ("<OpenSimDocument", "<Drawing", "is no XML"),
+        ("<OpenSimDocument", "<Drawing", "is not XML"),
         ("<mass>9.7</mass>", "<mass>-1</mass>", "'pelvis' has a mass of -1"),
-        ("<mass>9.7</mass>", "<mass>heavy</mass>", "is no complete model"),
-        ("<mass>9.7</mass>", "", "is no complete model"),
+        ("<mass>9.7</mass>", "<mass>heavy</mass>", "is not a complete model"),
+        ("<mass>9.7</mass>", "", "is not a complete model"),
         ("PolynomialFunction", "Sine", "'knee_r': has a Sine, which is not"),
         (
             "/bodyset/pelvis</socket_child_frame>",
             "/bodyset/belvis</socket_child_frame>",
-            "its child 'belvis' is no body",
+            "its child 'belvis' is not a body",
         ),
         (
             "<socket_parent_frame>/ground<",

@@ -288,5 +288,5 @@ def test_dates_are_text_where_anything_may_stand():
 @pytest.mark.parametrize("value", ["!of_ours 3", "{[1]: 2}", "!!int x"])
 def test_what_is_no_value_is_refused_where_anything_may_stand(value):
     text = GOOD.replace("{a: [1, 2]}", value)
-    with pytest.raises(InputError, match="extra is no text, number"):
+    with pytest.raises(InputError, match="extra is not a text, number"):
         schema.load_text(text, Study)

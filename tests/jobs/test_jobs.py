@@ -99,7 +99,7 @@ def test_what_needs_a_failure_is_skipped_and_the_rest_goes_on():
 
 @pytest.mark.parametrize(
     ("needs", "words"),
-    [(("missing",), "no job"), (("b",), "needs itself")],
+    [(("missing",), "is not a job"), (("b",), "needs itself")],
 )
 def test_graphs_that_are_none(needs, words):
     jobs = [Job("a", "", needs=needs), Job("b", "", needs=("a",))]

@@ -207,7 +207,7 @@ def test_events_of_a_walk_are_counted_among_whole_contacts():
         FootEvent.of("toe_off left 3").time_s(feet)
     for text in ("toe_off left", "toe_off left 0", "toe_off both 1", "a b c d",
                  "toe_off left 1 2"):  # fmt: skip
-        with pytest.raises(InputError, match="is no event"):
+        with pytest.raises(InputError, match="is not an event"):
             FootEvent.of(text)
 
 

@@ -535,7 +535,7 @@ def test_refuses_files_of_another_kind(files):
     folder, study = files
     odd = replace(study.trials[0], markers=Path("sts.mot"))
     message = refusal(replace(study, trials=(odd,)), folder)
-    assert "is no marker file that can be read; give one of .trc" in message
+    assert "is not a marker file that can be read; give one of .trc" in message
 
 
 def test_refuses_a_rise_that_is_not_there(files):

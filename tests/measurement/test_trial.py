@@ -202,7 +202,7 @@ def test_signals_that_are_not_known_are_refused(trial, whole):
         trial.moment("knee")
     with pytest.raises(InputError, match="no coordinate 'hip'"):
         whole.moment("hip")
-    with pytest.raises(InputError, match="'foot_x' is no joint"):
+    with pytest.raises(InputError, match="'foot_x' is not a joint"):
         whole.moment("foot_x")
     with pytest.raises(InputError, match=r"cuff 'thigh'; there are none"):
         trial.cuff("thigh")

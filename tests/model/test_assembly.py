@@ -583,7 +583,7 @@ def test_toes_go_up():
             ],
             "ankle_only.urdf: ",
         ),
-        ([("</robot>", "")], "is no XML"),
+        ([("</robot>", "")], "is not XML"),
         ([("<robot", "<car"), ("</robot", "</car")], "holds no <robot>"),
         (
             [
@@ -628,7 +628,10 @@ def test_loops_are_refused():
         ("{human: {legs: three}}", "human.legs must be one of one, two"),
         ("{cuffs: {thigh: {human: thigh, device: x}}}", "cuffs need a device"),
         ("{ground: {foot: []}}", "foot has no sphere"),
-        ("{ground: {foot: [heel, a.b]}}", "'a.b' is no name of a cuff or sph"),
+        (
+            "{ground: {foot: [heel, a.b]}}",
+            "'a.b' cannot be the name of a cuff or sph",
+        ),
         (
             "{device: {weld: {exo_foot: foot}}, "
             "cuffs: {heel: {human: thigh, device: exo_thigh}}}",
@@ -697,7 +700,10 @@ def test_cuffs_of_the_shipped_device_are_called_as_their_segments(nominal):
 
 
 def test_files_that_are_no_device_are_refused(tmp_path):
-    for name, words in (("d.xacro", "expand it first"), ("d.obj", "no device")):
+    for name, words in (
+        ("d.xacro", "expand it first"),
+        ("d.obj", "is not a device"),
+    ):
         device = DeviceFile({"shoe": "foot"}, Path(name))
         with pytest.raises(InputError, match=words):
             with_text(Assembly(device=device), tmp_path)

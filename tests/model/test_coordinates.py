@@ -103,7 +103,9 @@ def test_unknown_names_are_refused(coupled):
 
 
 def test_what_is_not_in_the_root_is_no_joint(coupled):
-    with pytest.raises(InputError, match=r"'foot_x' is no joint; known .*hip"):
+    with pytest.raises(
+        InputError, match=r"'foot_x' is not a joint; known .*hip"
+    ):
         coupled.joint("foot_x")
 
 
@@ -144,7 +146,7 @@ def test_welds_have_no_coordinate():
     ("root", "joint", "words"),
     [
         (hinge, weld, "joint 'base' of the root is not planar"),
-        (PlanarJoint, BallRpyJoint, "joint 'joint' is no hinge"),
+        (PlanarJoint, BallRpyJoint, "joint 'joint' is not a hinge"),
     ],
 )
 def test_other_trees_are_refused(root, joint, words):

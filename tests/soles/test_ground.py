@@ -281,8 +281,8 @@ CASE = EXAMPLE + "ground: {heights: ground.csv}\n"
 @pytest.mark.parametrize(
     ("points", "said"),
     [
-        (_points()[:-1], "no grid of 9 x 9"),
-        (_points() + _points()[:1], "82 points are no grid"),
+        (_points()[:-1], "not a grid of 9 x 9"),
+        (_points() + _points()[:1], "82 points are not a grid"),
         (_points(count=3), "too small; give at least 4 x 4"),
         (_points(lambda x, y: 1000 * x * y), "give heights in metres"),
         (_points(x=(-0.1, 0.1)), "give heights below all of it"),

@@ -164,7 +164,9 @@ def test_a_design_is_read_from_its_folder(stored, tmp_path):
     assert [d.folder for d in find_designs(tmp_path)] == [folder]
     for rows in (7, ["design"], [{"name": 7}]):
         (tmp_path / "summary.json").write_text(json.dumps({"cases": rows}))
-        with pytest.raises(InputError, match=r"summary\.json: is no summary"):
+        with pytest.raises(
+            InputError, match=r"summary\.json: is not a summary"
+        ):
             find_designs(tmp_path)
     (folder / "summary.json").write_text(json.dumps({"c_tr": 1, "c": "x"}))
     with pytest.raises(InputError, match="c_rot is missing, or no number"):
@@ -285,7 +287,7 @@ def test_costs_that_are_none_are_no_number(tmp_path):
     found = read_summary(tmp_path)
     assert np.isnan(found["c"]) and found["c_tr"] == 2 and found["x"] is None
     (tmp_path / "summary.json").write_text("[1]")
-    with pytest.raises(InputError, match="is no summary"):
+    with pytest.raises(InputError, match="is not a summary"):
         read_summary(tmp_path)
 
 

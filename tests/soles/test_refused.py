@@ -181,7 +181,7 @@ def test_a_load_is_never_replaced(case, capsys):
 def test_a_data_root_that_is_none(case, capsys):
     words = ["sole", "simulate", str(case / "case.yaml"), "--out"]
     assert main([*words, str(case / "out"), "--data-root", "gone"]) == 2
-    assert "gone: is no folder; check data_root" in capsys.readouterr().err
+    assert "gone: is not a folder; check data_root" in capsys.readouterr().err
 
 
 def test_no_process_does_no_work(case, capsys):

@@ -172,7 +172,9 @@ def test_a_bump_is_no_top(tmp_path):
     mesh = mesh.with_nodes(nodes)
     path = tmp_path / "bump.vtk"
     meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)]).write(path)
-    with pytest.raises(InputError, match=r"no flat top .*point data 'fixed'"):
+    with pytest.raises(
+        InputError, match=r"not a flat top .*point data 'fixed'"
+    ):
         read_mesh(path)
     told = np.isin(np.arange(len(mesh.nodes)), mesh.fixed).astype(np.int32)
     cells = [("tetra", mesh.tets)]
@@ -320,7 +322,7 @@ def test_a_top_has_a_middle_if_it_is_nearly_a_rectangle(tmp_path, out, found):
         np.testing.assert_allclose(read.nodes, nodes - [0.1 * out, 0, 0])
     else:
         with pytest.raises(
-            InputError, match=r"no rectangle, and lies at z = 0\.5"
+            InputError, match=r"not a rectangle, and lies at z = 0\.5"
         ):
             read_mesh(tmp_path / "it.vtk")
 

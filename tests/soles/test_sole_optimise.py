@@ -91,7 +91,7 @@ def test_a_number_of_iterations_that_is_none_is_refused(folder, capsys):
     with pytest.raises(SystemExit) as ended:
         optimize(folder / "case.yaml", never, "--iterations", "-3")
     assert ended.value.code == 2
-    assert "'-3' is no whole number from 0 on" in capsys.readouterr().err
+    assert "'-3' is not a whole number from 0 on" in capsys.readouterr().err
 
 
 def test_interrupted_three_times_the_optimum_is_the_same(

@@ -416,7 +416,7 @@ def test_parts_that_overlap_are_one(tmp_path):
     assert volume(inner[:, ::-1], post) == pytest.approx(461.0)
     twice = (inner[:, ::-1], sole, inner[:, ::-1])
     assert volume(*twice) == pytest.approx(460.0)
-    with pytest.raises(InputError, match=r"tread\.stl: a part .* no hollow"):
+    with pytest.raises(InputError, match=r"tread\.stl: a part .* not a hollow"):
         volume(lugs[0][:, ::-1])
 
 

@@ -264,7 +264,10 @@ def test_protocol_is_that_of_the_paper():
     ("arguments", "message"),
     [
         ({"disturbances": ["marker_nois"]}, "marker_noise"),
-        ({"disturbances": "gaps"}, "disturbances: 'gaps' is no list of names"),
+        (
+            {"disturbances": "gaps"},
+            "disturbances: 'gaps' is not a list of names",
+        ),
         ({"seed": -1}, "seed is -1; give a whole number from 0 on"),
         ({"seed": "x"}, "seed is 'x'; give a whole number from 0 on"),
         ({"seed": 1.5}, "seed is 1.5; give a whole number"),

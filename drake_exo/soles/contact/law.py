@@ -180,7 +180,7 @@ class Ground:
         heights[i, j] = z
         if len(z) != heights.size or np.isnan(heights).any():
             raise InputError(
-                f"{name}: {len(z)} points are no grid of {count[0]} x "
+                f"{name}: {len(z)} points are not a grid of {count[0]} x "
                 f"{count[1]}; give one row for every x with every y"
             )
         if min(count) < _LEAST:

@@ -375,6 +375,6 @@ def read_summary(folder: Path) -> dict:
         isinstance(row, dict) and isinstance(row.get("name"), str)
         for row in rows
     ):
-        raise InputError(f"{folder / SUMMARY}: is no summary; {remedy}")
+        raise InputError(f"{folder / SUMMARY}: is not a summary; {remedy}")
     missing = [key for key in _COSTS if key in data and data[key] is None]
     return data | dict.fromkeys(missing, np.nan)
