@@ -80,11 +80,11 @@ def design(
             is worn in.
         calibration: of each wearer, in the same order.
         settings: instead of the first study's.
-        parts: also tell how much place, straps and assistance do alone.
+        parts: also tell what places, straps and assistance reach alone.
 
     Raises:
         InputError: studies and calibrations do not match, a trial does not
-            know the device's torques, or from a pre-flight check.
+            know the device's torques, or a check before the solve fails.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> made = synthetic.rises_in_device(1, nodes_per_second=40)

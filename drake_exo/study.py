@@ -254,17 +254,17 @@ class Study:
         return f"Study({self.name!r}, {_named(self._trials)})"
 
     def trials(self, use: Use | None = None) -> tuple[Trial, ...]:
-        """The trials; of a study file those of one use, or all of them.
+        """The trials; with a study file those of one use, or all of them.
 
         Raises:
-            InputError: there is no such use; there are none, or their files
+            InputError: there is no such use, no trial has it, or the files
                 are not as they should be.
         """
         _check_use(use)
         return self._trials
 
     def alone(self, trials: Sequence[Trial]) -> Study:
-        """The same with other trials, which come of no recordings.
+        """The same study with other trials, which come from no recordings.
 
         >>> from drake_exo.virtual_laboratory import synthetic
         >>> made = Study(*synthetic.rises_on_spheres(2, nodes_per_second=40))
@@ -285,7 +285,7 @@ class Study:
     def plausibility(self, use: Use | None = None) -> tuple[Check, ...]:
         """Whether recordings can be what the study takes them for.
 
-        Of trials that are not cut from recordings nothing is judged.
+        Trials that are not cut from recordings are not judged.
 
         Args:
             use: of the trials; all by default.
@@ -379,9 +379,9 @@ class RecordedStudy(Study):
         again = name in ("file", "root") and name in vars(self)
         if again or name in ("model", "filter", "device"):
             raise AttributeError(
-                f"recordings are read with the study file's {name}: change it "
-                "there and read it anew, or in drake_exo.Study(...) of the "
-                "trials"
+                f"recordings were read with the study file's {name}: change it "
+                "there and read the file again, or make a drake_exo.Study(...) "
+                "of the trials with another one"
             )
         super().__setattr__(name, value)
 
@@ -429,8 +429,8 @@ class RecordedStudy(Study):
         files = tuple(t for t in self.file.trials if use in (None, t.use))
         if not files:
             raise InputError(
-                f"{self.path or self.name}: no trial is for {use}; give those "
-                f"that are 'use: {use}'"
+                f"{self.path or self.name}: no trial is for {use}; give at "
+                f"least one with 'use: {use}'"
             )
         missing = tuple(f for f in files if f.name not in self._loaded)
         found = self.recordings.trials(missing)
@@ -521,8 +521,8 @@ class Calibration(_Solved):
 
     Attributes:
         phase: "foot-ground" or "interaction".
-        study: that was calibrated, as it was then.
-        result: of the solve; `result.problem.program.prog` is Drake's
+        study: the study as it was when it was calibrated.
+        result: what the solve found; `result.problem.program.prog` is Drake's
             MathematicalProgram.
 
     >>> from drake_exo.virtual_laboratory import synthetic
@@ -613,7 +613,7 @@ class Calibration(_Solved):
         return known[name]
 
     def uncertainty(self) -> Uncertainty | None:
-        """95 % intervals of what is free; None where nothing can be told.
+        """95 % intervals of free parameters; None where they are unknown.
 
         `names`, `sd`, `half_width`, `identifiable`: (m,) each, in the units of
         `contact.units()`.
@@ -642,7 +642,7 @@ class Calibration(_Solved):
     def verdict(
         self, checks: Sequence[Check] = (), accepted: Sequence[str] = ()
     ) -> Verdict:
-        """What the result has to hold.
+        """The checks that the result has to pass.
 
         Args:
             checks: of its input, which come first.
@@ -736,14 +736,14 @@ _SIGNALS = frozenset(
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Prediction(_Solved, Trial):
-    """A predicted trial: see Trial for its signals.
+    """A predicted trial; see `Trial` for its signals.
 
     Signals of a failed solve raise SealedSolutionError until
     `solution.unseal()`.
 
     Attributes:
-        result: of the solve.
-        clocks: lags of the trial's encoders and mats that it counts with.
+        result: what the solve found.
+        clocks: lags of the trial's encoders and mats that it was made with.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
@@ -865,8 +865,8 @@ def calibrate_foot_ground(
 ) -> Calibration:
     """Phase A: the contact of foot and ground, from several trials at once.
 
-    Of a study whose feet wear a sole it is known: movement and forces that
-    agree with it are found, no parameter.
+    If the study's feet wear a sole, this contact is known: movement and forces
+    that agree with it are found, but no parameter.
 
     Args:
         study: says the settings.
@@ -1028,16 +1028,16 @@ def predict(
         contact: calibrated, of foot and ground and of the cuffs; of the cuffs
             alone where the study's feet wear a sole.
         settings: instead of the study's.
-        scale_interaction: of the cuffs' stiffness and damping; 1.4 is Phase
-            C2.
+        scale_interaction: factor on the cuffs' stiffness and damping; 1.4 is
+            Phase C2.
         controller: a stateless LeafSystem that gives the exoskeleton's
-            torques; without it they are as measured, but that springs across
-            its joints (`device` of the study) go with the movement.
+            torques; without it they are as measured, except that springs across
+            its joints (`device` of the study) follow the movement.
         folder, resume: as `calibrate_foot_ground`.
-        near: of the same trial with another contact, to start from; by default
-            the start is that of the settings.
-        clocks: of the trial's instruments, among others; by default those of
-            `find_clocks`.
+        near: a prediction of the same trial with another contact, to start
+            from; by default the settings say where to start.
+        clocks: lags of instruments, the trial's among them; by default those
+            of `find_clocks`.
 
     Raises:
         InputError: the contact knows nothing of the model's cuffs; or

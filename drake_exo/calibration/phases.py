@@ -60,9 +60,9 @@ class FootGroundCalibration(PhaseProblem):
         model: subject and device.
         trials: measured.
         settings: noise, bounds, grid.
-        parameters: to calibrate; those of the settings by default, none of
-            an empty list.
-        ground: contact that is known, of a sole; then there are none.
+        parameters: to calibrate; by default those of the settings, with an
+            empty list none.
+        ground: known contact of a sole; then nothing is calibrated.
         refined: finer intervals, see `PhaseProblem`.
 
     >>> from drake_exo.virtual_laboratory import synthetic
@@ -307,8 +307,8 @@ class PredictionProblem(PhaseProblem):
         settings: objective, noise, grid.
         controller: gives the exoskeleton's torques; None where they are
             measured (tracked) or free.
-        answers: trial -> what springs give more where the device goes another
-            way than it did; those that are not named have none.
+        answers: trial -> how the torques of springs change where the device
+            moves otherwise than it did; without an entry they do not.
         refined: finer intervals, see `PhaseProblem`.
 
     >>> from drake_exo.virtual_laboratory import synthetic
@@ -317,8 +317,8 @@ class PredictionProblem(PhaseProblem):
     >>> sorted(posed.bushings)
     ['pelvis', 'shank', 'thigh']
 
-    What is added to the program counts in the next `solve`, of which `values`
-    are of all its variables:
+    What is added to the program counts in the next `solve`, whose `values` are
+    those of all its variables:
 
     >>> (rise,) = posed.movements
     >>> knee = rise.grid.q[:, rise.coordinates.index("knee")]
@@ -330,7 +330,7 @@ class PredictionProblem(PhaseProblem):
 
     Raises:
         InputError: the model has cuffs, but the contact knows nothing of
-            them; or the controller is none that can be used.
+            them; or the controller cannot be used.
         ValueError: the settings ask for other ends, see `PeriodicStep`.
     """
 

@@ -727,7 +727,7 @@ def _check_trials(
         if trial.coordinates != own:
             raise InputError(
                 f"trial {trial.name}: has the coordinates "
-                f"{', '.join(trial.coordinates.names)}, the model "
+                f"{', '.join(trial.coordinates.names)}, but the model has "
                 f"{', '.join(own.names)}; give trials of this model"
             )
         if trial.times[0] != 0.0 or not (np.diff(trial.times) > 0.0).all():
@@ -814,9 +814,9 @@ def _in_order(contact: ContactModel, model: Model) -> ContactModel:
             )
         if not set(own) <= set(known) or (what == "spheres" and not own):
             raise InputError(
-                f"the contact has the {what} {', '.join(own) or 'none'}, the "
-                f"model {', '.join(known) or 'none'}; calibrate with this "
-                "model"
+                f"the contact has the {what} {', '.join(own) or 'none'}, but "
+                f"the model has {', '.join(known) or 'none'}; calibrate with "
+                "this model"
             )
     cuffs = [cuff for cuff in model.tree.cuffs if cuff in contact.bushings]
     return replace(contact, bushings={c: contact.bushings[c] for c in cuffs})

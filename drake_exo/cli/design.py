@@ -146,7 +146,7 @@ def _laboratory(path: Path, study: RecordedStudy) -> dict:
         if name not in built:
             raise InputError(
                 f"{path}: trials: {name!r} is for prediction, but --verify "
-                f"builds {', '.join(built)}; let others have another use"
+                f"builds {', '.join(built)}; give the others another use"
             )
     return about
 

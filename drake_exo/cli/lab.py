@@ -148,12 +148,12 @@ def _check(args: argparse.Namespace, shipped: bool) -> None:
     if not shipped:
         if args.full or args.design is not None or args.truth is not None:
             raise InputError(
-                "--full, --truth and --design are of the shipped exoskeleton; "
-                "leave them out, or --model"
+                "--full, --truth and --design work with the shipped "
+                "exoskeleton alone; leave them out, or --model"
             )
     elif args.movement != MOVEMENTS[0] or args.left_share != 0.5:
         raise InputError(
-            "--movement and --left-share are of a person of two legs; give "
+            "--movement and --left-share need a person of two legs; give "
             "--model FILE"
         )
     elif args.full and args.trials is not None:

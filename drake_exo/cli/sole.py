@@ -311,8 +311,8 @@ def _strain(args) -> int:
     if args.source.is_dir():
         if args.mesh or args.data_root:
             raise InputError(
-                "sole strain: --mesh and --data-root are a case file's; leave "
-                f"them out, {args.source} holds mesh and load"
+                "sole strain: --mesh and --data-root are for a case file; "
+                f"leave them out, since {args.source} holds mesh and load"
             )
         setups = [design.setup for design in soles.find_designs(args.source)]
     else:

@@ -340,8 +340,8 @@ def _connect(
         if not controller.HasOutputPort("joint_torques"):
             raise InputError(
                 f"controller {controller.get_name()!r} has no output port "
-                "joint_torques; one of the device alone, such as "
-                "AssistController, belongs into predict"
+                "joint_torques; a controller of the device alone, such as "
+                "AssistController, is for predict"
             )
         builder.AddSystem(controller)
         builder.Connect(

@@ -175,8 +175,8 @@ class GroundContact:
             if name not in self.spheres:
                 raise InputError(
                     f"the contact has the spheres {', '.join(self.spheres)}, "
-                    f"the model {', '.join(model.spheres)}; calibrate with "
-                    "this model"
+                    f"but the model has {', '.join(model.spheres)}; calibrate "
+                    "with this model"
                 )
         return {
             body: replace(self, spheres={n: self.spheres[n] for n in names})
@@ -231,12 +231,12 @@ class ContactModel:
     """Contact of foot and ground and, once calibrated, of the cuffs.
 
     Attributes:
-        ground: of the foot.
+        ground: contact of the foot.
         bushings: cuff -> its bushing; empty where human and device do not
             touch, or nothing is known of it.
-        posterior: how sure a calibration is of them; None where none was.
-        jerk: typical of the movements that it was calibrated on [rad/s^3]; of
-            a brisk rise without a device where nothing was.
+        posterior: how sure a calibration is of them; None without one.
+        jerk: typical jerk of the movements that it was calibrated on
+            [rad/s^3]; without a calibration that of a brisk rise.
 
     >>> from drake_exo.model.plant import nominal_model
     >>> contact = nominal_contact(nominal_model("coupled"))
@@ -335,8 +335,8 @@ class ContactModel:
 def nominal_contact(model: Model, law: Law = "simbody") -> ContactModel:
     """Equal spheres and equal bushings of usual values.
 
-    A cuff of the exoskeleton that is not where the human's is makes a
-    preload.
+    Where the exoskeleton's cuff is not at the human's, its bushing is
+    preloaded.
 
     Args:
         model: says where spheres and cuffs are.

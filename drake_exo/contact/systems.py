@@ -411,8 +411,8 @@ class _Bushings:
         if not parameters or set(pairs) != set(parameters):
             raise InputError(
                 f"bushings are given for {', '.join(parameters) or 'nothing'}, "
-                f"pairs of links for {', '.join(pairs) or 'nothing'}; "
-                "name the same"
+                f"pairs of links for {', '.join(pairs) or 'nothing'}; name the "
+                "same cuffs in both"
             )
         _check_bushings(parameters)
         self._T = T

@@ -25,7 +25,7 @@ class CuffForce:
         normal: (n,) across the segment, forward [N].
         tangential: (n,) along it, upward [N]; None where not known: mats do
             not measure it.
-        moment: (n,) [N m], toes-up positive; likewise.
+        moment: (n,) [N m], toes-up positive; None likewise.
 
     >>> CuffForce(np.array([12.0])).tangential is None
     True
@@ -75,7 +75,7 @@ class Trial:
 
     Raises:
         InputError: a part is of another kind, an array holds no numbers, or
-            the chair's share is none.
+            the chair's share is not within 0 and 1.
         ValueError: an array has another shape.
 
     Attributes:
@@ -85,7 +85,7 @@ class Trial:
         q, v, a: (n, nq) positions [m, rad] and their time derivatives.
         ground: wrench (n,) of the ground on the feet.
         feet: side -> its part of that; empty where one leg stands for both.
-        source: how it came about.
+        source: how the trial came about.
         moments: (n, n_joints) joint moments [N m]; the human's are those of
             the muscles: without the exoskeleton's. None where not known.
         cuffs: cuff -> its force (n,) on the human, where it is known.

@@ -24,9 +24,9 @@ class Coordinates:
         names: (nq,) in the order of the plant's positions: x, z and pitch of
             the root, then the hinges.
         device: the hinges that are the device's; the others are the human's.
-        coupling: turn of each of the device's hinges by those of the human,
-            while the device moves as the human does; empty where a hinge of
-            the device turns as that of the human which its name ends in.
+        coupling: how far each of the device's hinges turns with each of the
+            human's, while the device moves as the human does; empty where a
+            device's hinge turns as the human's hinge that its name ends in.
 
     >>> names = Coordinates(("x", "z", "pitch", "ankle"))
     >>> names.joints, names.index("pitch")
@@ -61,7 +61,7 @@ class Coordinates:
         return self.root + self.human
 
     def index(self, name: str) -> int:
-        """Place of a coordinate.
+        """Column of a coordinate in arrays (n, nq).
 
         Raises:
             InputError: there is none of that name.
@@ -74,7 +74,7 @@ class Coordinates:
         return self.names.index(name)
 
     def columns(self, names) -> np.ndarray:
-        """Places of several coordinates in arrays (n, nq)."""
+        """Columns of several coordinates in arrays (n, nq)."""
         return np.array([self.index(name) for name in names], int)
 
     @cached_property
@@ -113,7 +113,7 @@ class Coordinates:
         return np.arange(len(self)) >= len(_ROOT) - 1
 
     def joint(self, name: str) -> int:
-        """Place of a hinge in arrays of joint moments (n, n_joints).
+        """Column of a hinge in arrays of joint moments (n, n_joints).
 
         Raises:
             InputError: there is none of that name.

@@ -91,7 +91,7 @@ class Model:
     """A subject, alone or in a device, as `model.json` holds it.
 
     Attributes:
-        kind: what it is put together of; or the name of one that ships:
+        kind: the parts that make it up; or the name of one that ships:
             "coupled" (two chains on one foot), "rigid" (the device's links
             welded to the human's) or "human" (no device).
         human: the subject.
@@ -339,7 +339,7 @@ class Model:
 
 
 def nominal_model(kind: Kind = "coupled") -> Model:
-    """The nominal adult, with the device that fits, unless alone.
+    """The nominal adult, with a device that fits unless `kind` is "human".
 
     >>> round(nominal_model("human").tree.mass, 6)
     70.0

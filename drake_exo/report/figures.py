@@ -74,7 +74,7 @@ def plot_trials(
     Args:
         found: solved trials.
         measured: the same trials in the same order.
-        uncalibrated: the same as predicted with nominal cuffs, if at all.
+        uncalibrated: the same trials predicted with nominal cuffs, if any.
         bands: around `found`, if there are any.
 
     Returns:

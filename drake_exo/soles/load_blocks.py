@@ -379,7 +379,9 @@ class LoadBlock:
                 and getattr(self, f.name) != f.default
             ]
             if given:
-                raise InputError(f"{given[0]} belongs to a recording")
+                raise InputError(
+                    f"{given[0]} belongs to a recording; leave it out here"
+                )
         elif self.trial is None or self.foot is None:
             raise InputError("a recording takes trial and foot; give both")
         elif self.straight and self.pose == "measured":

@@ -369,11 +369,11 @@ class Load:
                 f"{1e3 * distance[q]:.1f} mm at {self.times[q]:g} s (x {x:.4f} "
                 f"m, y {y:.4f} m in the load's frame, {outside.sum()} of "
                 f"{len(outside)} samples); the middle of its path lies "
-                f"{500 * off[0]:.0f} mm before and {500 * off[1]:.0f} mm left "
-                "of the sole's: move the load (origin_m and yaw_rad; in a "
-                "recording shift_m) or the block start, take a larger sole, or "
-                "leave these samples out (least_force_n, from, to; in a "
-                "pattern least_share)"
+                f"{500 * off[0]:.0f} mm in front and {500 * off[1]:.0f} mm to "
+                "the left of the sole's: move the load (origin_m and yaw_rad; "
+                "in a recording shift_m) or the block start, take a larger "
+                "sole, or leave these samples out (least_force_n, from, to; in "
+                "a pattern least_share)"
             )
 
 

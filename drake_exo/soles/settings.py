@@ -76,15 +76,15 @@ class MeshBlock:
         for name in ("unit", "origin_m", "top_m"):
             if self.brick is not None and getattr(self, name) is not None:
                 raise InputError(
-                    f"{name} is a file's, not a brick's; remove it"
+                    f"{name} is for a file, not for a brick; remove it"
                 )
         if self.file is None or Path(self.file).suffix.lower() in SUFFIXES:
             return
         for name in ("unit", "top_m"):
             if getattr(self, name) is not None:
                 raise InputError(
-                    f"{name} is a surface's ({', '.join(SUFFIXES)}), and "
-                    f"{self.file} is none; remove it"
+                    f"{name} is for a surface ({', '.join(SUFFIXES)}), but "
+                    f"{self.file} is not one; remove it"
                 )
 
 
@@ -190,8 +190,8 @@ def stage_mesh(own: TetMesh, stage: Stage) -> TetMesh:
         return own
     if not own.is_block:
         raise InputError(
-            "optimize.stages: divisions need a brick as the initial shape, "
-            "and this mesh is none; leave them out"
+            "optimize.stages: divisions need a brick as the initial shape, but "
+            "this mesh is not one; leave them out"
         )
     return brick_like(own, stage.divisions)
 
@@ -304,8 +304,8 @@ class Settings:
             free = block.pattern is not None and block.pattern.free
             if free and (self.loads or block.straight):
                 raise InputError(
-                    "load.pattern.free: a walk is sought for one load that "
-                    "is not straight; leave it out here"
+                    "load.pattern.free: a walk can only be sought for a single "
+                    "load that is not straight; leave it out here"
                 )
         self.material.material()
         if self.optimize.stages is None:

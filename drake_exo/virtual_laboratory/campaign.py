@@ -273,8 +273,8 @@ def write_campaign(
         full: also record what the study does not use, as the paper did.
         files: "c3d" or "opensim" (.trc and .mot).
         truth: "wide", or "near" to what a calibration begins with.
-        processes: that work at once; has no influence on the result.
-        design: built and worn by the same subject, who does the same.
+        processes: how many work at once; they do not change the result.
+        design: a design, built and worn by the same subject, who does the same.
         assisted: leave out movements in the passive device.
 
     Returns:
@@ -337,8 +337,8 @@ def read_about(folder: str | Path) -> dict:
         for key, how in (("design", "--design"), ("left_share", "--model")):
             if key in about:
                 raise InputError(
-                    f"{path}: is of 'drake-exo lab {how}', on which no "
-                    f"design is built; {remedy} without {how}"
+                    f"{path}: is of 'drake-exo lab {how}', with which no "
+                    f"design can be built; {remedy} without {how}"
                 )
     try:
         return {

@@ -211,7 +211,7 @@ def test_a_bad_batch_file_ends_with_two(tmp_path, capsys):
     write(tmp_path / "other" / "mine.txt", "")
     write(path, "steps: [check]\nlaboratories: {seeds: [1]}")
     assert main(["batch", str(path), "--out", str(tmp_path / "other")]) == 2
-    assert "no batch" in capsys.readouterr().err
+    assert "is not a batch" in capsys.readouterr().err
 
 
 _FULL = """

@@ -159,7 +159,7 @@ def test_no_movement_counts_twice(made):
 
 def test_a_controller_of_the_device_alone_is_sent_to_predict(made):
     controller = dx.AssistController(knee_nm=10.0)
-    with pytest.raises(InputError, match="belongs into predict"):
+    with pytest.raises(InputError, match="AssistController, is for predict"):
         dx.build_diagram(made.model, made.contact, controller=controller)
 
 

@@ -313,7 +313,7 @@ def test_wearers_wear_one_device():
         for joint in ("motor", "drive")
     ]
     two = [Wearer(m.name, m, nominal_contact(m), ()) for m in models]
-    with pytest.raises(InputError, match="the joints drive, that of"):
+    with pytest.raises(InputError, match="the joints drive, but that of"):
         check_wearers(two, DesignSettings())
 
 

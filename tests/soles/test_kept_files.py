@@ -126,9 +126,11 @@ def test_another_case_s_checkpoint_is_told_by_its_sizes():
         )
 
     fits(4, ["a", "b", "c"])
-    with pytest.raises(InputError, match="4 coefficients, the case 5"):
+    with pytest.raises(InputError, match="4 coefficients, but the case has 5"):
         fits(5, ["a", "b", "c"])
-    with pytest.raises(InputError, match=r"3 limits, the case 2 \(a, b\)"):
+    with pytest.raises(
+        InputError, match=r"3 limits, but the case has 2 \(a, b\)"
+    ):
         fits(4, ["a", "b"])
 
 

@@ -192,7 +192,10 @@ def test_a_zmp_outside_is_told_by_how_much():
     assert "outside the sole by 5.0 mm at 0.5 s" in said
     assert "x 0.2050 m, y 0.0500 m" in said and "2 of 3 samples" in said
     # Its middle at (180, 50) mm, the sole's at (50, 10).
-    assert "130 mm before and 40 mm left" in said and "least_force_n" in said
+    assert (
+        "130 mm in front and 40 mm to the left" in said
+        and "least_force_n" in said
+    )
     assert "in a pattern least_share" in said
     edge = Load([0.0], force[:1], [[0.2, 0.06]])
     edge.check_inside(places)

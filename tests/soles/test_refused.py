@@ -93,7 +93,9 @@ def test_ground_in_millimetres():
 
 
 def test_lengths_and_keys_of_a_case():
-    with pytest.raises(InputError, match=r"unit is a file's, not a brick's"):
+    with pytest.raises(
+        InputError, match=r"unit is for a file, not for a brick"
+    ):
         MeshBlock(brick=object(), unit="mm")
     made = dx.soles.Case.from_text(dx.soles.EXAMPLE)
     start = replace(made.settings.start, point_in_sole_m=(-115.0, 0.0, -30.0))

@@ -156,7 +156,7 @@ def test_numbers_out_of_bounds_are_refused_by_key(old, new, words):
 def test_keys_of_a_surface_are_refused_beside_tetrahedra():
     head, rest = EXAMPLE.split("  brick:")
     text = f"{head}  file: sole.vtk\n  unit: mm\n{rest.partition(chr(10))[2]}"
-    with pytest.raises(InputError, match=r"unit is a surface's \(\.stl"):
+    with pytest.raises(InputError, match=r"unit is for a surface \(\.stl"):
         Case.from_text(text)
 
 

@@ -88,7 +88,7 @@ def test_results_are_not_overwritten_unasked(study, capsys):
     for option in ("--mesh", "--data-root"):
         where = [str(study), "--out", str(study / "new"), option, str(study)]
         assert cli.main(["sole", "strain", *where]) == 2
-        assert "are a case file's; leave them" in capsys.readouterr().err
+        assert "are for a case file; leave them" in capsys.readouterr().err
     assert not (study / "new").exists()
 
 

@@ -253,7 +253,10 @@ def test_what_cannot_be_simulated_is_refused(alone, tmp_path, capsys):
     for options, words in (
         (["--left-share", "0.7"], "give --model FILE"),
         (["--movement", "squat"], "give --model FILE"),
-        (["--model", str(alone), "--full"], "are of the shipped exoskeleton"),
+        (
+            ["--model", str(alone), "--full"],
+            "work with the shipped exoskeleton alone",
+        ),
         (["--model", str(alone), "--truth", "near"], "are of the shipped"),
         (["--full", "--trials", "2"], "leave out --trials"),
     ):

@@ -102,21 +102,21 @@ class Checkpoint:
         count, names = len(problem.undeformed), problem.names()
         if len(self.p) != count:
             raise InputError(
-                f"resume: the checkpoint has {len(self.p)} coefficients, "
-                f"the case {count}; it is of another case, or of an earlier "
-                "version"
+                f"resume: the checkpoint has {len(self.p)} coefficients, but "
+                f"the case has {count}; it is of another case, or of an "
+                "earlier version"
             )
         if self.alone is not None and len(self.alone) != problem.spline.count:
             raise InputError(
                 f"resume: the checkpoint's sole alone has {len(self.alone)} "
-                f"coefficients, the case {problem.spline.count}; it is of "
-                "another case"
+                f"coefficients, but the case has {problem.spline.count}; it is "
+                "of another case"
             )
         if self.multipliers is not None and len(self.multipliers) != len(names):
             raise InputError(
-                f"resume: the checkpoint has {len(self.multipliers)} "
-                f"limits, the case {len(names)} ({', '.join(names)}); give "
-                "the same case and limits"
+                f"resume: the checkpoint has {len(self.multipliers)} limits, "
+                f"but the case has {len(names)} ({', '.join(names)}); give the "
+                "same case and limits"
             )
 
     def write(self, folder: Path) -> None:
