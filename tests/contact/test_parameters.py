@@ -49,7 +49,9 @@ def test_spheres_of_another_foot_are_refused(nominal):
         "foot": ["heel", "ball"],
         "toes": ["toe"],
     }
-    with pytest.raises(InputError, match="heel, toe, the model heel, ball"):
+    with pytest.raises(
+        InputError, match="heel, toe, but the model has heel, ball"
+    ):
         nominal_contact(stiff).ground.under(bent)
 
 

@@ -257,7 +257,10 @@ def test_what_cannot_be_simulated_is_refused(alone, tmp_path, capsys):
             ["--model", str(alone), "--full"],
             "work with the shipped exoskeleton alone",
         ),
-        (["--model", str(alone), "--truth", "near"], "are of the shipped"),
+        (
+            ["--model", str(alone), "--truth", "near"],
+            "work with the shipped exoskeleton alone",
+        ),
         (["--full", "--trials", "2"], "leave out --trials"),
     ):
         assert main(["lab", "--out", out, *options]) == 2
