@@ -313,7 +313,9 @@ def load_controller(name: str | None) -> System | None:
             f"--controller {name}: cannot be made ({reason(error)}); {remedy}"
         ) from error
     if not isinstance(found, System):
-        raise InputError(f"--controller {name}: is no Drake system; {remedy}")
+        raise InputError(
+            f"--controller {name}: is not a Drake system; {remedy}"
+        )
     return found
 
 

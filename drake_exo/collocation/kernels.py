@@ -524,8 +524,8 @@ class ControllerKernel:
         self._m = m = num_joints
         if not isinstance(controller, System):
             raise InputError(
-                f"the controller is {controller!r}, no Drake system; give an "
-                "object, such as AssistController()"
+                f"the controller is {controller!r}, not a Drake system; give "
+                "an object, such as AssistController()"
             )
         if not controller.HasInputPort(STATE_PORT):
             raise InputError(f"the controller has no input port '{STATE_PORT}'")

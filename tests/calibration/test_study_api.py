@@ -276,7 +276,7 @@ def test_results_are_written_whole(cuffs, tmp_path):
     ("change", "words"),
     [
         (lambda t: {"times": t.times + 1.0}, "must start at 0"),
-        (lambda t: {"q": np.full_like(t.q, np.nan)}, "no finite number"),
+        (lambda t: {"q": np.full_like(t.q, np.nan)}, "values that are not finite"),
     ],
 )
 def test_trials_that_are_none_are_told(study, made, change, words):
@@ -304,7 +304,7 @@ def test_input_of_the_api_is_told(study, made):
         dx.predict(
             dx.Study(bare, [rise]), rise, made.contact, scale_interaction=2.0
         )
-    with pytest.raises(dx.InputError, match="no Drake system"):
+    with pytest.raises(dx.InputError, match="not a Drake system"):
         dx.predict(study, trial, made.contact, controller=dx.AssistController)
     with pytest.raises(dx.InputError, match="no model 'cupled'"):
         dx.nominal_model("cupled")

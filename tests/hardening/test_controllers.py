@@ -41,7 +41,7 @@ def test_names_at_random():
         ("Wants", "cannot be made"),
         ("Fails", r"cannot be made \(no\)"),
         ("leaves", r"cannot be made \(3\)"),
-        ("nothing", "is no Drake system"),
+        ("nothing", "is not a Drake system"),
         ("number", "no class or function"),
         ("absent", "cannot be made"),
     ],
