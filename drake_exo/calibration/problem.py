@@ -721,8 +721,7 @@ def _check_trials(
             ):
                 raise InputError(
                     f"trials {other.name} and {trial.name} are the same part "
-                    "of a recording, which would count twice; leave one of "
-                    "them out"
+                    "of a recording, which would count twice; leave one out"
                 )
         if trial.coordinates != own:
             raise InputError(

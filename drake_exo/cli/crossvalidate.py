@@ -81,9 +81,7 @@ def run(args: argparse.Namespace) -> int:
         code = folder.end(STOPPED_CODE if stopped else held.exit_code)
     print(_table(folds))
     if len(told) == 1:
-        print(
-            f"{told[0]} is never left out: it is the only trial with encoders"
-        )
+        print(f"{told[0]} is never left out: only it has encoders")
     print(summary["sentence"])
     print(held.text())
     print(f"results in {folder.path}")

@@ -137,9 +137,7 @@ def read_cells(
     if nodes.size == 0:
         raise InputError(f"{path}: is empty or cut off; {remedy}")
     if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) == 0:
-        raise InputError(
-            f"{path}: its nodes do not have three coordinates; {remedy}"
-        )
+        raise InputError(f"{path}: its nodes lack x, y or z; {remedy}")
     if not (np.abs(nodes) < 1e9).all():
         raise InputError(
             f"{path}: places of nodes are missing or out of all bounds; "

@@ -280,8 +280,8 @@ def gap_remedy(longest_s: float) -> str:
     """What to do about gaps that are not filled."""
     return (
         f"gaps up to laboratory.fill_gaps_s ({longest_s:g} s) are filled, but "
-        "not at the ends of the recording: raise it, fill them in the "
-        "motion-capture software, or use a part without them"
+        "not at the ends of the recording: raise it, fill the gaps in the "
+        "motion-capture software, or use a part without gaps"
     )
 
 

@@ -897,8 +897,8 @@ def _end_joints(e: Evidence) -> Check:
         "end_joints",
         speed,
         f"{said}, within {1e3 * reach:.0f} ms of the used part, while a joint "
-        f"turns at {speed:.0f} deg/s; the filter does not know how it goes on: "
-        "export more, or use a part that keeps away from there",
+        f"turns at {speed:.0f} deg/s; the filter does not know how the "
+        "movement goes on: export more of it, or use a part further from there",
     )
 
 
@@ -1017,8 +1017,8 @@ def load_checks(e: Evidence) -> Iterator[Check]:
             "device_moment",
             found,
             f"the moment of {name} reaches {found:.3g} N m, more than the "
-            f"body's weight {LIMITS['device_moment'][0]:g} m away; it may be "
-            "in N mm, or friction of device is in other units",
+            f"body's weight makes {LIMITS['device_moment'][0]:g} m away; it "
+            "may be in N mm, or friction of device is in other units",
             file=e.files.exo_moments or "device",
         )
 
@@ -1032,7 +1032,7 @@ def _one_sided(e: Evidence, mats: Sequence[MatForce], file: Path) -> Check:
         "mat_sides",
         share,
         f"mats of {mats[0].segment} ({', '.join(m.name for m in mats)}) all "
-        f"press from {side}; unless nothing lies opposite, name that mat, too",
+        f"press from {side}; if a mat lies on the other side, name it, too",
         file=file,
         level="note",
     )

@@ -131,8 +131,8 @@ def recorded_step(
     inside &= wrench[:, 2] >= least_force_n
     if inside.sum() < 2:
         raise InputError(
-            f"{where}: {first:g} to {last:g} s holds {inside.sum()} frames "
-            f"with {least_force_n:g} N; give a longer part"
+            f"{where}: {first:g} to {last:g} s holds only {inside.sum()} "
+            f"frames with {least_force_n:g} N or more; give a longer part"
         )
     return _step(
         f"{where}, {first:.2f} to {last:.2f} s",

@@ -197,7 +197,7 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
             inertia.set(key, "0")
     yield (
         f"{where}: no body has such products of inertia; they are left out, "
-        f"its {b:g} kg m^2 about y are kept"
+        f"but its {b:g} kg m^2 about y are kept"
     )
 
 

@@ -276,7 +276,10 @@ def test_results_are_written_whole(cuffs, tmp_path):
     ("change", "words"),
     [
         (lambda t: {"times": t.times + 1.0}, "must start at 0"),
-        (lambda t: {"q": np.full_like(t.q, np.nan)}, "values that are not finite"),
+        (
+            lambda t: {"q": np.full_like(t.q, np.nan)},
+            "values that are not finite",
+        ),
     ],
 )
 def test_trials_that_are_none_are_told(study, made, change, words):

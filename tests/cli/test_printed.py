@@ -103,7 +103,7 @@ def test_the_only_trial_with_encoders_is_not_left_out(
     assert code == 0
     assert [f["trial"] for f in summary["folds"]] == ["b", "c"]
     assert (
-        "a is never left out: it is the only trial" in capsys.readouterr().out
+        "a is never left out: only it has encoders" in capsys.readouterr().out
     )
     assert "only one trial has mats of thigh" in summary["sentence"]
     left_out.trials[0].cuffs += ["thigh", "shank"]
