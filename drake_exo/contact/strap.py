@@ -69,17 +69,17 @@ class _Linear:
 
 @dataclass(frozen=True)
 class Gains(_Linear):
-    """Of a joint's controller, which adds a spring and a damper.
+    """Gains of a joint's controller, which adds a spring and a damper.
 
     torque = support today + constant_nm - stiffness_nm_rad angle -
-    damping_nm_s_rad rate. None of it pushes a joint off: neither spring nor
-    damper is negative.
+    damping_nm_s_rad rate. Neither spring nor damper is negative, so neither
+    pushes a joint off.
 
     Attributes:
         support: factor on today's torque.
         constant_nm: always there.
         stiffness_nm_rad: of a spring towards the joint's zero.
-        damping_nm_s_rad: against the joint's rate.
+        damping_nm_s_rad: of a damper against the joint's rate.
 
     >>> firm = Gains(0.5, stiffness_nm_rad=8.0)
     >>> firm.torque(np.array([10.0]), np.array([0.25]), np.zeros(1), 0.5)
