@@ -258,7 +258,7 @@ def test_what_a_campaign_was_made_with(tmp_path):
     }
     for key, how in (("design", "--design"), ("left_share", "--model")):
         path.write_text(json.dumps(about | {key: {}}))
-        with pytest.raises(InputError, match=f"'drake-exo lab {how}', on wh"):
+        with pytest.raises(InputError, match=f"'drake-exo lab {how}', with which no"):
             read_about(tmp_path)
     for damaged in ("{}", '{"seed": "x"}', "[1]"):
         path.write_text(damaged)
