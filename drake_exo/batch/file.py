@@ -1,11 +1,10 @@
-"""The batch file: whom, with which settings, through which steps.
+"""Reads a batch file: subjects and soles, steps, settings to vary.
 
-And what its `sweep` does: other values for keys of a study or a case.
-
-What it comes to are tasks: commands on subjects and soles. A task's key is made
-of all that its results depend on: the contents of its files, what is changed in
-them, options, the keys of the tasks it builds on, and the code. A task whose
-results carry its key is done.
+`tasks_of` turns it into tasks. Each is one command on one subject or sole, with
+one variant of the `sweep` (other values for keys of a study or a case). A
+task's key is a hash of all that its results depend on: the contents of its
+files, the keys changed in them, options, the keys of the tasks that it builds
+on, and the code. A task whose results carry its key is done.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from drake_exo.files.tables import read_bytes
 STUDY_STEPS = ("check", "calibrate", "crossvalidate", "predict", "design")
 CASE_STEPS = ("sole simulate", "sole optimize")
 Step = Literal[(*STUDY_STEPS, *CASE_STEPS)]
-# A step builds on the results of another of the same subject.
+# Step -> step whose results, for the same subject, it reads.
 BUILDS_ON = {"predict": "calibrate", "design": "calibrate"}
 _OURS = ("--out", "--force", "--resume", "--data-root", "--calibration")
 _LONGEST = 100  # characters of a variant's name
@@ -63,12 +62,12 @@ class SeedRange:
 
 @dataclass(frozen=True)
 class Laboratories:
-    """Campaigns of the virtual laboratory, a subject a seed.
+    """Campaigns of the virtual laboratory, one subject for each seed.
 
     Attributes:
         seeds: a list, or `first` and `last`.
-        truth: "wide", or "near" to what a calibration begins with.
-        trials: movements; all nine by default.
+        truth: how far from a calibration's start: "wide" or "near".
+        trials: number of movements; all nine by default.
         without: disturbances to switch off.
     """
 
@@ -89,7 +88,7 @@ class Laboratories:
         return tuple(dict.fromkeys(s))
 
     def options(self) -> list[str]:
-        """Those of `drake-exo lab`, but for seed and folder."""
+        """Options of `drake-exo lab`, except seed and folder."""
         found = ["--truth", self.truth]
         if self.trials is not None:
             found += ["--trials", str(self.trials)]
@@ -98,10 +97,10 @@ class Laboratories:
 
 @dataclass(frozen=True)
 class BatchFile:
-    """A batch.
+    """Contents of a batch file.
 
     Attributes:
-        steps: what is done with every subject or sole.
+        steps: commands to run on every subject or sole.
         studies: study files; `*` and `**` as in a shell. Relative to the
             batch file, as all paths.
         laboratories: subjects that are simulated first.
@@ -153,7 +152,7 @@ class BatchFile:
                 raise InputError(f"options: {step!r} is not one of the steps")
             for option in options:
                 word = option.partition("=")[0]
-                # argparse takes the beginning of an option's name for it.
+                # argparse accepts abbreviated option names.
                 ours = [o for o in _OURS if o.startswith(word) and word[2:]]
                 if ours:
                     raise InputError(
@@ -172,10 +171,10 @@ class BatchFile:
                 )
 
     def variants(self) -> list[dict[str, Any]]:
-        """Changes to make, one dictionary a variant; one empty without sweep.
+        """Key -> value of each variant of the sweep; one empty without sweep.
 
         Raises:
-            InputError: a key without values, or one combination twice.
+            InputError: a key has no values, or a combination is given twice.
         """
         if isinstance(self.sweep, dict):
             for key, values in self.sweep.items():
@@ -200,8 +199,8 @@ class Entry:
 
     Attributes:
         name: unique; the folder of its results.
-        path: of its study or case file, None of a laboratory's subject.
-        seed: of the laboratory.
+        path: of its study or case file; None for a laboratory's subject.
+        seed: of the laboratory's subject.
     """
 
     name: str
@@ -222,8 +221,8 @@ def entries(batch: BatchFile, folder: Path) -> tuple[list[Entry], list[Entry]]:
     """Subjects and soles of a batch.
 
     Args:
-        batch: what the file says.
-        folder: that it stands in.
+        batch: contents of the batch file.
+        folder: of the batch file.
 
     Raises:
         InputError: a pattern finds nothing, or two files share a name.
@@ -251,7 +250,7 @@ def _told(entry: Entry) -> str:
 def _found(patterns, folder: Path, key: str) -> list[Entry]:
     paths: dict[Path, None] = {}
     for pattern in patterns:
-        # The folder's own name may hold what is special in a pattern.
+        # root_dir, since the folder's name may hold * or [.
         hits = sorted(glob.glob(pattern, root_dir=folder, recursive=True))
         hits = [hit for hit in hits if (folder / hit).is_file()]
         if not hits:
@@ -263,7 +262,7 @@ def _found(patterns, folder: Path, key: str) -> list[Entry]:
 
 
 def _name(path: Path, folder: Path) -> str:
-    """Of what lies in a file: its path, without what says nothing."""
+    """Name of an entry: path of its file without suffix, .., study, case."""
     parts = list(Path(os.path.relpath(path, folder)).with_suffix("").parts)
     parts = [part for part in parts if part != ".."]
     if len(parts) > 1 and parts[-1] in ("study", "case"):
@@ -272,7 +271,7 @@ def _name(path: Path, folder: Path) -> str:
 
 
 def variant_name(changes: dict[str, Any]) -> str:
-    """Folder of a variant: "filter.cutoff_hz=6,mass=70"."""
+    """Name of a variant's folder, such as "filter.cutoff_hz=6,mass=70"."""
     text = ",".join(f"{key}={_value(v)}" for key, v in changes.items())
     if len(text) <= _LONGEST:
         return text
@@ -290,10 +289,10 @@ def _value(value: Any) -> str:
 def changed_text(
     path: Path, cls: type, changes: Mapping[str, Any], root: Path | None = None
 ) -> str:
-    """Text of a study or case with all its keys, some of them changed.
+    """YAML text of a study or case with all its keys, some of them changed.
 
-    It is written elsewhere: files have whole paths there, but for those that
-    start from a root.
+    It is for a file in another folder: paths of files become absolute, except
+    those that start from a root.
 
     Args:
         path: of the file.
@@ -340,7 +339,7 @@ def _index(place, part: str):
 
 
 def _step(path: Path, key: str, place, part: str):
-    """What `part` of a key leads to."""
+    """Value at one part of a dotted key, where `place` is the part before."""
     index = _index(place, part)
     if isinstance(place, dict) and index in place:
         return place[index]
@@ -368,10 +367,10 @@ def file_class(of_sole: bool) -> type:
 
 
 def check_key(cls: type, key: str) -> None:
-    """Refuse a key that no file of a kind can have.
+    """Refuse a dotted key that no file of the class can have.
 
     Raises:
-        InputError: naming the part that is unknown.
+        InputError: there is no such key; names the part that is unknown.
     """
     hints: list[Any] = [cls]
     for part in key.split("."):
@@ -410,19 +409,19 @@ _CODE = (".py", ".sdf", ".xml", ".obj", ".js", ".css")
 
 @dataclass(frozen=True)
 class Task:
-    """One command.
+    """One command of `drake-exo` on a subject or sole.
 
     Attributes:
         name: unique; the folder of its results.
-        entry: subject or sole.
-        variant: what is changed in its file, "" if nothing.
+        entry: name of the subject or sole.
+        variant: name of the changes to its file, "" without any.
         step: "lab", or a step of the batch file.
-        options: of the command, but for files and folders.
-        source: study or case file; None of a laboratory, and of what uses it.
+        options: of the command, except files and folders.
+        source: study or case file; None for a laboratory and its subjects.
         root: folder that its paths start from; None for the file's own.
         changes: dotted key -> value.
-        needs: names of tasks whose results it reads, lab and calibration.
-        key: see the module.
+        needs: "lab" or "calibrate" -> name of the task whose results it reads.
+        key: hash of all that its results depend on, see the module.
     """
 
     name: str
@@ -441,11 +440,11 @@ def tasks_of(batch: BatchFile, folder: Path) -> list[Task]:
     """All tasks of a batch, each after those that it needs.
 
     Args:
-        batch: what the file says.
-        folder: that it stands in.
+        batch: contents of the batch file.
+        folder: of the batch file.
 
     Raises:
-        InputError: see `entries`; or results would lie in another's folder.
+        InputError: see `entries`; no data_root; or nested results' folders.
     """
     subjects, soles = entries(batch, folder)
     root = None if batch.data_root is None else folder / batch.data_root
@@ -485,7 +484,7 @@ def tasks_of(batch: BatchFile, folder: Path) -> list[Task]:
 
 
 def _variants(batch: BatchFile, of_sole: bool) -> list[dict[str, Any]]:
-    """Changes to a study, or to a case: each key to where it belongs."""
+    """Changes of each variant, those to cases or those to studies only."""
     found: dict[str, dict] = {}
     for changes in batch.variants():
         ours = {k: v for k, v in changes.items() if is_sole(k) == of_sole}
@@ -493,7 +492,7 @@ def _variants(batch: BatchFile, of_sole: bool) -> list[dict[str, Any]]:
     return list(found.values())
 
 
-# The keys of a case file; every other is a study's, which also has a `ground`.
+# Keys of a case file; all others are a study's, which has its own `ground`.
 SOLE_KEYS = (
     *("name", "mesh", "material", "load", "loads"),
     *("ground.heights", "contact", "start", "cost", "optimize"),
@@ -547,7 +546,7 @@ def _keyed(task: Task, digests: dict, keys: list[str]) -> Task:
 
 @cache
 def code_digest() -> str:
-    """Of this package's code and the libraries that it computes with."""
+    """Hash of this package's code and of the versions of its libraries."""
     found = hashlib.sha256(drake_exo.__version__.encode())
     package = Path(drake_exo.__file__).parent
     for folder in (package, package.parent / "models"):
@@ -565,10 +564,10 @@ def code_digest() -> str:
 
 
 def _digests(path: Path, root: Path | None, on=True) -> dict[str, str]:
-    """Of a study or case file and of every file that it names.
+    """Hashes of a study or case file and of every file that it names.
 
-    Whatever text in it is the path of a file counts as one, so that a key
-    that comes new cannot be forgotten here.
+    Every text in it that is the path of a file counts, so that a new key
+    cannot be forgotten here.
     """
     found = {"": _digest(path)}
     try:
@@ -579,10 +578,10 @@ def _digests(path: Path, root: Path | None, on=True) -> dict[str, str]:
 
 
 def _named(tree, beside: Path, root=None, on=True) -> dict[str, str]:
-    """Digests of files that words of a tree name, from a root or beside it.
+    """Hashes of files that texts in a tree name, from a root or `beside`.
 
-    And, to go `on`, of what a study names that is itself named: a case's
-    recordings are those of a study beside it.
+    With `on` also of files that a named YAML file names: the recordings of a
+    case are those of a study beside it.
     """
     words = sorted(set(_words(tree)))
     found = {word: _digest((root or beside) / word) for word in words}
@@ -594,7 +593,7 @@ def _named(tree, beside: Path, root=None, on=True) -> dict[str, str]:
 
 
 def _of_options(options: Sequence[str], folder: Path) -> dict[str, str]:
-    """Digests of files, folders and modules that a command's options name."""
+    """Hashes of files, folders and modules that a command's options name."""
     words = [option.rpartition("=")[2] for option in options]
     words += [
         word.partition(":")[0].replace(".", "/") + ".py"
@@ -623,7 +622,7 @@ def _words(tree) -> list[str]:
 
 
 def _digest(path: Path) -> str:
-    """Of a file's contents, "" if it is none."""
+    """Hash of a file's contents; "" if there is no such file."""
     try:
         return hashlib.sha256(read_bytes(path)).hexdigest()
     except (InputError, ValueError):

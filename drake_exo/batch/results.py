@@ -1,9 +1,9 @@
-"""What a batch comes to: one long table, a page, figures, counts.
+"""Results of a batch: one long table, an HTML page, figures, a summary.
 
-The table has a row a number. The page is one HTML file that needs no network:
-texts of a column are held once, a row holds their numbers; the script draws
-only the rows in view, so that hundreds of thousands stay usable. Figures are
-over subjects: mean and deviation, predicted against measured.
+The table has one row for each number. The page needs no network; it holds every
+distinct text of a column once and rows refer to it by index. Its script draws
+only the rows in view, so hundreds of thousands stay usable. Figures show RMSD
+over subjects (mean, SD) and predicted against measured peaks (Bland-Altman).
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     from drake_exo.measurement.trial import Trial
 
 _AGAIN = "run the batch again"
-# Pages of a folder that replay it: what soles write, and `view --out`.
+# Replay pages: the one that soles write, and the one of `view --out`.
 _REPLAYS = ("animation.html", "replay.html")
-# Unit -> ends of keys that tell it of the numbers below them; the first counts.
+# Unit -> ends of keys whose numbers have it; the first unit that fits counts.
 _UNITS = {
     "": ("_samples",),
     "N m/rad": ("_nm_per_rad", "c_rot", "c_rot_initial", "c_rot_sole_alone"),
@@ -74,7 +74,7 @@ _UNITS = {
 }
 # Parts of summary.json that are lists of one dictionary for each trial.
 _OF_TRIALS = ("rmsd", "rmsd_uncalibrated", "band_coverage", "audit", "solves")
-# Parts whose numbers are below names of joints, cuffs or wearers.
+# Parts whose numbers are below names (of joints, cuffs or wearers).
 _BY_NAME = (*_OF_TRIALS, "measured_sd", "peaks_n", "wearers_n")
 _NOT_TOLD = frozenset(
     ("evaluations", "binding_bounds", "worst_constraints", "settings")
@@ -83,18 +83,18 @@ _NOT_TOLD = frozenset(
 
 @dataclass(frozen=True)
 class Row:
-    """A number of a batch.
+    """One number of a batch: a row of its table.
 
     Attributes:
-        subject: or sole, as the batch calls it.
-        trial: "" of what is not of one trial.
-        phase: the step.
-        signal: what the number is of.
+        subject: name of the subject or sole in the batch.
+        trial: name of the trial; "" if the number is not of one trial.
+        phase: step of the batch file.
+        signal: dotted key of the number.
         value: None in the row of a task without results.
-        unit: of it.
-        verdict: of the task; its sentence where it does not hold.
-        variant: what the sweep changed.
-        folder: of the results, below the batch's.
+        unit: of the value; "" if it has none.
+        verdict: of the task, with its sentence if it does not hold.
+        variant: name of what the sweep changed.
+        folder: of the results, relative to the batch's.
     """
 
     subject: str
@@ -137,7 +137,7 @@ def rows_of(batch: Batch) -> list[Row]:
                 task.name,
             )
 
-        # Results of an earlier study may lie there still.
+        # The folder may still hold results of another key.
         lies = read_outcome(batch.out / task.name)
         rows = []
         if lies is not None and lies.key == task.key:
@@ -222,9 +222,10 @@ def _is_number(value) -> bool:
 
 
 def unit_of(signal: str) -> str:
-    """By the last part of a dotted name that tells one; shares have none.
+    """Unit of a number by its dotted name; "" for shares.
 
-    Where parts after a kind are names that users gave, by the first.
+    The last part with a known ending counts; the first where names that users
+    gave (joints, cuffs) follow.
 
     >>> unit_of("rmsd.velocities_deg_s.exo_hip"), unit_of("rmsd.cop_mm")
     ('deg/s', 'mm')
@@ -302,8 +303,8 @@ def write_report(
 
     Args:
         batch: whose folder it goes to.
-        rows: of its table; those that do not hold come first, and stay where
-            not all of them fit.
+        rows: of its table; those that do not hold come first, so that they
+            are kept if not all fit.
         pictures: name of a PNG in that folder -> what it shows.
     """
     rows = sorted(rows, key=lambda row: row.verdict == "holds")
@@ -366,7 +367,7 @@ def _address(name: str) -> str:
 
 
 def _links(batch: Batch) -> dict[str, str]:
-    """Folder -> its replay, of those that have one."""
+    """Task -> address of its replay page, for those that have one."""
     return {
         task.name: f"{_address(task.name)}/{page}"
         for task in batch.tasks
@@ -434,7 +435,7 @@ def write_results(batch: Batch) -> list[str]:
 
 
 def is_told(batch: Batch) -> bool:
-    """Whether just these results are told already."""
+    """Whether the tables of just these results are already written."""
     names = (SUMMARY, "results.csv", "report.html")
     if not all((batch.out / name).is_file() for name in names):
         return False
@@ -473,11 +474,11 @@ _GROUPS = {
 
 
 def peak_rows(batch: Batch, rows: list[Row]) -> list[Row]:
-    """Largest forces and moments of every predicted trial, and measured.
+    """Rows of the largest forces and moments, predicted and measured.
 
     Args:
         batch: of the results.
-        rows: its table, which says what was predicted.
+        rows: its table, which tells the predicted trials.
 
     Raises:
         InputError: a trial's files are damaged.
@@ -526,8 +527,8 @@ def limits_of_agreement(
     J. Biopharmaceutical Statistics 17 (2007).
 
     Args:
-        differences: (n,) of trials.
-        subjects: (n,) whose each is.
+        differences: (n,) predicted minus measured, of each trial.
+        subjects: (n,) subject of each trial.
     """
     y, bias = np.asarray(differences, float), float(np.mean(differences))
     _, of = np.unique(np.asarray(subjects), return_inverse=True)
@@ -548,7 +549,7 @@ _MOST_VARIANTS = 6  # with pictures of their own, which the page holds
 
 
 def draw_figures(out: Path, rows: list[Row]) -> dict[str, str]:
-    """Draw what there is enough of, for each variant by itself.
+    """Draw the figures that there are enough rows for, variant by variant.
 
     Returns:
         Name of each file -> what it shows.
@@ -556,7 +557,7 @@ def draw_figures(out: Path, rows: list[Row]) -> dict[str, str]:
     import matplotlib
 
     drawn = {}
-    # A sole's are of no prediction.
+    # Soles have no predictions.
     rows = [row for row in rows if row.phase == "predict"]
     variants = list(dict.fromkeys(row.variant for row in rows))
     for variant in variants[:_MOST_VARIANTS]:
@@ -576,7 +577,7 @@ def draw_figures(out: Path, rows: list[Row]) -> dict[str, str]:
 
 
 def _mark(rows: list[Row]) -> str:
-    """Which of the results that are drawn do not hold."""
+    """Mark for a figure: which of the drawn results do not hold."""
     off = [row.folder for row in rows if not row.verdict.startswith(HOLDS)]
     return mark_of(FAILS, list(dict.fromkeys(off))) if off else ""
 
@@ -618,7 +619,7 @@ def _over_subjects(rows: list[Row]) -> Figure | None:
 
 
 def _bland_altman(rows: list[Row]) -> Figure | None:
-    """A panel for each signal with at least three trials."""
+    """Bland-Altman plot of each signal with at least three trials."""
     from matplotlib.figure import Figure
 
     both: dict[str, dict[tuple, dict[str, Row]]] = {}

@@ -1,9 +1,9 @@
-"""A batch from its file to its tables; what is done is not done again.
+"""Runs the tasks of a batch file that are not done yet.
 
-A worker runs a task's command and keeps its results whole. A command writes
-into a draft below DIR/.drafts. Once it has ended, the draft becomes the task's
-folder in one step, with task.json, which says how it ended, and timing.json,
-which alone holds times, the host, and what was printed.
+A worker runs a task's command, which writes into a draft folder below
+DIR/.drafts. When the command has ended, the draft is renamed to the task's
+folder, so results are never half there. It then holds task.json (how the task
+ended) and timing.json (alone with times, the host, and what was printed).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from drake_exo.jobs.process_child import function_of
 TASK, TIMING = "task.json", "timing.json"
 DRAFTS = ".drafts"
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
-# Where a run that was killed can go on, and end as it would have.
+# Step -> file from which a killed run continues to the same result.
 _CHECKPOINTS = {"sole optimize": "checkpoint.json"}
 _WORDS = {0: HOLDS, 1: UNSOLVED, 2: "failed", 3: FAILS}
 
@@ -62,11 +62,11 @@ class Outcome:
     """How a task ended, as task.json holds it.
 
     Attributes:
-        key: of the task, see `tasks`.
-        code: exit code of its command; None where it did not come to an end.
+        key: hash of all that the results depend on, see `batch.file`.
+        code: exit code of its command; None if the command did not end.
         verdict: "holds", "does not hold", "not solved", "failed", or "not
-            done" of what the user stopped.
-        sentence: why, where it does not hold.
+            done" if the user stopped it.
+        sentence: why, if it does not hold.
         task: what was run: entry, variant, step, options, changes.
     """
 
@@ -83,7 +83,7 @@ class Outcome:
 
 
 def read_outcome(folder: Path) -> Outcome | None:
-    """What task.json says; None where there is none that is whole."""
+    """Outcome in a folder's task.json; None if that is missing or damaged."""
     try:
         return Outcome(**json.loads((folder / TASK).read_text("utf-8")))
     except (OSError, ValueError, TypeError):
@@ -93,9 +93,9 @@ def read_outcome(folder: Path) -> Outcome | None:
 def outcome(
     task: Task, code: int | None, sentence: str = "", verdict: str = ""
 ) -> Outcome:
-    """Of a task that ended; the verdict goes by the code where none is given.
+    """Outcome of a task, with the verdict of its exit code if none is given.
 
-    Accepted, a result ends with 0 and does not hold.
+    A result accepted with failing checks has code 0 but "does not hold".
     """
     told = {
         "entry": task.entry,
@@ -109,12 +109,12 @@ def outcome(
 
 
 def log_of(task: Task, out: Path) -> Path:
-    """Where what it prints goes while it runs."""
+    """File that a task prints to while it runs."""
     return out / DRAFTS / f"{_mark(task)}.log"
 
 
 def _mark(task: Task) -> str:
-    """Of a task's drafts; two with the same contents have each its own."""
+    """Name that a task's drafts begin with; differs for tasks of equal key."""
     return sha256(f"{task.name} {task.key}".encode()).hexdigest()[:16]
 
 
@@ -123,16 +123,16 @@ def run_task(task: dict[str, Any], out: str, parse: str, near: str) -> str:
 
     Args:
         task: fields of a `Task`.
-        out: folder of the batch.
-        parse: "module:name" of what turns a command into its arguments.
-        near: folder of the batch file, which sentences leave out.
+        out: folder of the batch's results.
+        parse: "module:name" of the function that parses a command line.
+        near: folder of the batch file; sentences omit it from paths.
 
     Returns:
-        The verdict, of a task whose results others can build on.
+        The verdict, if other tasks can build on the results.
 
     Raises:
-        InputError: it failed, or was not solved; task.json says so, too.
-            Without task.json where the disk is full: it is begun again.
+        InputError: the task failed or was not solved, as task.json says; or
+            the disk is full: without task.json the next run repeats it.
     """
     task, out = Task(**task), Path(out)
     drafts = out / DRAFTS
@@ -159,7 +159,7 @@ def run_task(task: dict[str, Any], out: str, parse: str, near: str) -> str:
     }
     swept = draft / (task.source.name if task.source else "study.yaml")
     if swept.is_file():
-        # A design has a case of its own, with the start that it found.
+        # An optimised sole already has a case file, with the start found.
         name = swept.name
         name = f"swept_{name}" if (results / name).exists() else name
         os.replace(swept, results / name)
@@ -175,7 +175,7 @@ def run_task(task: dict[str, Any], out: str, parse: str, near: str) -> str:
 
 
 def _run(task, out, draft, earlier, parse, near) -> tuple[int, str]:
-    """Exit code, and the sentence that goes with it."""
+    """Exit code of the task's command, and a sentence on what is wrong."""
     try:
         # Paths and modules in options start from the batch file's folder.
         with _in_folder(near):
@@ -192,7 +192,7 @@ def _run(task, out, draft, earlier, parse, near) -> tuple[int, str]:
 
 @contextlib.contextmanager
 def _in_folder(folder: str):
-    """Work in a folder, whose modules Python finds."""
+    """Work in a folder, and let Python import its modules."""
     before = os.getcwd()
     os.chdir(folder)
     sys.path.insert(0, folder)
@@ -204,7 +204,7 @@ def _in_folder(folder: str):
 
 
 def _command(task: Task, out: Path, draft: Path, earlier) -> list[str]:
-    """The arguments of `drake-exo`."""
+    """Arguments of `drake-exo`; writes the changed study or case, if any."""
     to = ["--out", str(draft / "out")]
     if task.step == LAB:
         return [LAB, *task.options, "--jobs", "1", *to]
@@ -212,7 +212,7 @@ def _command(task: Task, out: Path, draft: Path, earlier) -> list[str]:
     if source is None:
         source = out / task.needs[LAB] / "study.yaml"
     of_sole = task.step.startswith("sole")
-    if root is None and not of_sole:  # a case's recordings have their own
+    if root is None and not of_sole:  # a case's recording has its own root
         root = source.parent
     if task.changes:
         text = changed_text(source, file_class(of_sole), task.changes, root)
@@ -233,7 +233,7 @@ def _command(task: Task, out: Path, draft: Path, earlier) -> list[str]:
 
 
 def _summary(results: Path) -> dict:
-    """What the command says of its results; nothing where it says none."""
+    """Contents of the command's summary or quality file; {} without one."""
     for name in ("summary.json", "quality.json"):
         try:
             found = json.loads((results / name).read_text("utf-8"))
@@ -245,13 +245,13 @@ def _summary(results: Path) -> dict:
 
 
 def _verdict(results: Path, code: int) -> str:
-    """The command's own word, "" where it says none."""
+    """Verdict in the command's summary; "" if there is none."""
     word = _summary(results).get("verdict") if code != 2 else None
     return word if isinstance(word, str) else ""
 
 
 def _why(results: Path, code: int, log: Path) -> str:
-    """What is wrong with results, in a sentence; "" where nothing is."""
+    """Sentence on what is wrong with the results; "" if nothing is."""
     for check in _summary(results).get("checks", []):
         if check["level"] == "fail" and not check["holds"]:
             parts = (check["name"], check["where"], check["sentence"])
@@ -263,7 +263,7 @@ def _why(results: Path, code: int, log: Path) -> str:
 
 
 def _raise_if_full(error: BaseException) -> None:
-    """Raise a sentence of its own where the disk is full."""
+    """Raise an InputError that says so if the disk is full."""
     cause = error
     while cause is not None:
         if isinstance(cause, OSError) and cause.errno in _NO_ROOM:
@@ -304,14 +304,14 @@ def _last_line(log: Path) -> str:
 
 
 def _without(sentence: str, draft: Path, *folders: Path) -> str:
-    """A sentence whose paths start from the batch."""
+    """The sentence, with paths relative to the folders that they are in."""
     for folder in (draft, *folders):
         sentence = sentence.replace(f"{folder}{os.sep}", "")
     return sentence
 
 
 def _take_times(results: Path) -> dict[str, Any]:
-    """Move every time out of the JSON files of a folder."""
+    """Move all durations out of a folder's JSON files; file -> durations."""
     found = {}
     for path in sorted(results.rglob("*.json")):
         try:
@@ -346,7 +346,7 @@ def _without_times(tree, place: str, times: dict[str, Any]):
 
 
 def _place(results: Path, target: Path, draft: Path) -> None:
-    """Put results in the place of earlier ones, whole."""
+    """Replace earlier results by renaming, so none are ever half there."""
     (results / MANIFEST).unlink(missing_ok=True)
     target.parent.mkdir(parents=True, exist_ok=True)
     if target.exists():
@@ -364,9 +364,9 @@ class Batch:
     Attributes:
         out: folder of all results.
         tasks: in the order of the batch file.
-        outcomes: name -> how it ended.
-        fresh: how many were begun now.
-        interrupted: by Ctrl-C; what was not done then is "not begun".
+        outcomes: task's name -> how it ended.
+        fresh: number of tasks that this run began.
+        interrupted: by Ctrl-C; tasks that have not ended are "not done".
     """
 
     out: Path
@@ -400,14 +400,14 @@ def run_batch(
     parse: str,
     write: Callable[[Batch], object],
 ) -> Batch:
-    """Run what of a batch is not done yet.
+    """Run the tasks of a batch that are not done yet.
 
     Args:
         path: of the batch file.
-        out: folder of results; of the same batch's, too, as far as it came.
-        open_pool: makes the pool, where there is something to do.
-        parse: "module:name" of what turns a command into its arguments.
-        write: called with what is returned, while no other run writes there.
+        out: folder of results; may hold those of an earlier run.
+        open_pool: makes the pool; called only if there are tasks to run.
+        parse: "module:name" of the function that parses a command line.
+        write: called with the returned batch while `out` is still locked.
 
     Raises:
         InputError: the batch file is not as it should be, or `out` holds
@@ -455,14 +455,14 @@ def _run_all(out, tasks, done, todo, open_pool, parse, near) -> Batch:
         task.name: _outcome(task, ended.get(task.name), out) for task in todo
     }
     if all(row.code is not None for row in found.values()):
-        # Else what was cut short may go on from there.
+        # Otherwise a run that was cut short may resume from its draft.
         shutil.rmtree(out / DRAFTS, ignore_errors=True)
     begun = sum(row.state != "skipped" for row in ended.values())
     return Batch(out, tuple(tasks), found, begun, interrupted)
 
 
 def _done(tasks: list[Task], out: Path) -> dict[str, Outcome]:
-    """Tasks whose results are there already."""
+    """Outcomes of tasks whose results carry their key, by name."""
     rows = {task.name: read_outcome(out / task.name) for task in tasks}
     return {
         task.name: rows[task.name]
@@ -472,7 +472,7 @@ def _done(tasks: list[Task], out: Path) -> dict[str, Outcome]:
 
 
 def _check_place(key: str, tasks: Sequence[Task]) -> None:
-    """Refuse a place in a list that is in none of the files."""
+    """Refuse a key with a list index that none of the files has."""
     wrong = {}
     for task in tasks:
         if key not in task.changes or task.source in wrong:
@@ -516,7 +516,7 @@ def _check_options(batch: BatchFile, parse: Callable) -> None:
 
 @contextlib.contextmanager
 def _prepared(out: Path, tasks: list[Task]):
-    """The folder for one run at a time, made, or seen to be a batch's."""
+    """Make the folder, or check that it is a batch's, and lock it."""
     with contextlib.ExitStack() as held:
         try:
             out.mkdir(parents=True, exist_ok=True)
@@ -555,7 +555,7 @@ def _job(task: Task, out: Path, parse: str, near: Path) -> Job:
 def _without_failed(
     jobs: list[Job], done: dict[str, Outcome]
 ) -> tuple[list[Job], list[Ended]]:
-    """Jobs that can run, free of what is done; and those that never can."""
+    """Jobs that can run, without needs that are done, and those that cannot."""
     ready, held = [], {}
     for job in jobs:
         lacking = [
@@ -573,7 +573,7 @@ def _without_failed(
 
 
 def _outcome(task: Task, row: Ended | None, out: Path) -> Outcome:
-    """By task.json, or by what the pool says where there is none."""
+    """Outcome by task.json, or by what the pool says if there is none."""
     found = read_outcome(out / task.name)
     if found is not None and found.key == task.key:
         return found
@@ -583,7 +583,7 @@ def _outcome(task: Task, row: Ended | None, out: Path) -> Outcome:
 
 
 def _tell(row: Ended) -> None:
-    """A task that failed is told at once."""
+    """Print why a task failed, as soon as it has."""
     if row.state != "done":
         print(f"{row.name}: {row.error}", flush=True)
         if row.trace:
