@@ -1,14 +1,14 @@
-"""Jobs that need each other, run by whatever has room for them.
+"""Runs jobs that depend on each other in parallel processes.
 
-A job is a call of a module's function in another process. What runs it is a
-`Pool`: `Processes` of this machine, which outlive one that is killed, or a
-Dask `Cluster`. Here is which job may begin, what a failure means for those
-that need it, progress; and a call beside something else (`second_process`).
+A job is a call of a module's function. It runs in a `Pool`: `Processes` of this
+machine (one that is killed is replaced), a Dask `Cluster`, or `Here`.
+`run_jobs` starts each job once those that it needs are done, and skips it if
+one failed. `second_process` makes a call in the background.
 
-A Dask worker hands its job to a `Worker`: compiled code that keeps Python's
-lock cannot then cost the Dask worker its connection, and a process that is
-killed costs one attempt at one job. Results travel by files, so every machine
-sees the same folders.
+A Dask worker hands its job to a `Worker`, a process of its own: compiled code
+that holds Python's lock (GIL) cannot then cost the Dask worker its connection,
+and a process that is killed costs one attempt at one job. Large results travel
+as files, so every machine must see the same folders.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ class Job:
         name: unique.
         function: "module:name".
         arguments: of the call, by name; they are pickled.
-        needs: names of jobs that must have been done before.
-        log: file whose last line tells how far it is; None if there is none.
-        given: argument that gets what the needed ones returned, by name; none
-            if None.
+        needs: names of jobs that must be done first.
+        log: file whose last line tells its progress; None if there is none.
+        given: name of the argument that gets what the needed jobs returned
+            (name -> value); None to pass nothing on.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Job:
     given: str | None = None
 
     def told(self, **more) -> Job:
-        """With more arguments."""
+        """The job with more arguments."""
         return replace(self, arguments={**self.arguments, **more})
 
 
@@ -117,7 +117,7 @@ class Ended:
 
 
 class Pool(Protocol):
-    """What runs jobs, and is closed at the end of a `with`."""
+    """Runs jobs; is closed at the end of a `with` block."""
 
     def __enter__(self):
         return self
@@ -132,7 +132,7 @@ class Pool(Protocol):
         """Begin a job, or put it in a queue of its own."""
 
     def wait(self, seconds: float) -> list[Ended]:
-        """Jobs that ended, as soon as there is one."""
+        """Wait until a job ends, or that long; the jobs that have ended."""
 
     def running(self) -> dict[str, float]:
         """Names of jobs at work and for how long [s]."""
@@ -150,22 +150,22 @@ def run_jobs(
     on_end: Callable[[Ended], None] | None = None,
     progress: BatchProgress | Heard | None = None,
 ) -> dict[str, Ended]:
-    """Run jobs as those that they need are done.
+    """Run jobs, each once those that it needs are done.
 
     Of the jobs that may begin, that with the longest chain behind it goes
     first (Hu, Operations Research 9(6), 1961), then in the order given.
 
     Args:
-        jobs: with names of their own.
-        pool: left open.
-        on_end: told of every job as it ends.
-        progress: told now and then.
+        jobs: with unique names.
+        pool: that runs them; left open.
+        on_end: called with every job as it ends.
+        progress: updated about once a second.
 
     Returns:
         name -> how it ended, in the order given.
 
     Raises:
-        InputError: a job needs one that is not there, or itself.
+        InputError: a job needs itself or a missing one, or shares a name.
     """
     chain = _chains(jobs)
     order = sorted(jobs, key=lambda job: -chain[job.name])
@@ -189,7 +189,7 @@ def run_jobs(
 
 
 def _begin(waiting, ended, pool, end) -> list[Job]:
-    """Start what can start; the jobs that still wait."""
+    """Start the jobs that can start; return those that still wait."""
     left, room = [], pool.room()
     for job in waiting:
         lacking = [
@@ -211,7 +211,7 @@ def _begin(waiting, ended, pool, end) -> list[Job]:
 
 
 def _chains(jobs: Sequence[Job]) -> dict[str, int]:
-    """How many jobs follow one another, from each on."""
+    """Length of the longest chain of jobs that begins with each, by name."""
     names = Counter(job.name for job in jobs)
     for name, count in names.items():
         if count > 1:
@@ -236,13 +236,13 @@ def _chains(jobs: Sequence[Job]) -> dict[str, int]:
 
 
 class BatchProgress:
-    """Counts, the jobs at work, and how long the rest will take.
+    """Prints counts, the jobs at work, and how long the rest will take.
 
     Args:
         title: begins every line.
         interval_seconds: between two reports; by default 2 s for a person, 30
             s for a log.
-        stream: sys.stdout of the moment by default.
+        stream: to print to; by default sys.stdout as it is now.
         clock: seconds, monotonic; for tests.
     """
 
@@ -295,7 +295,7 @@ class BatchProgress:
 
 @dataclass(frozen=True)
 class Log:
-    """Adds lines to a file, from whatever process.
+    """Appends lines to a file; can be pickled for another process.
 
     Attributes:
         path: of the file.
@@ -304,13 +304,13 @@ class Log:
     path: str
 
     def __call__(self, line: str) -> None:
-        """Add one."""
+        """Append one line."""
         with open(self.path, "a", encoding="utf-8") as file:
             file.write(f"{line}\n")
 
 
 def logged(jobs: Sequence[Job], folder: Path) -> list[Job]:
-    """Jobs each with an argument `say`, whose lines go to logs in a folder."""
+    """Jobs with an argument `say`, which writes to a log in the folder."""
     logs = [str(folder / f"{k}.log") for k in range(len(jobs))]
     return [
         replace(job.told(say=Log(log)), log=log)
@@ -319,10 +319,10 @@ def logged(jobs: Sequence[Job], folder: Path) -> list[Job]:
 
 
 class Heard:
-    """Passes on what jobs said last; progress for `run_jobs`.
+    """Passes on the last line of each job's log; progress for `run_jobs`.
 
-    The first and the last job take turns at speaking first, since of lines at
-    one time `Progress` shows the first alone.
+    It goes through the jobs forwards and backwards in turn, since of lines
+    said at one time `Progress` shows only the first.
 
     Args:
         say: called with a line.
@@ -342,7 +342,7 @@ class Heard:
 
 
 def _left_seconds(ended, running, jobs, workers) -> float | None:
-    """By the mean time of jobs with the same last word in their name."""
+    """Time left [s], by mean times of jobs whose names end in the same part."""
 
     def kind(name: str) -> str:
         return name.rpartition("/")[2]
@@ -372,13 +372,13 @@ def _duration(seconds: float) -> str:
 
 
 def _told(log: str | None) -> str:
-    """What a running job printed last, short."""
+    """Last line that a running job printed, cut to 70 characters."""
     line = "" if log is None else last_line(log)
     return f": {line[:70]}" if line else ""
 
 
 def last_line(log: str) -> str:
-    """Of a job's log; empty where there is none yet."""
+    """Last line of a job's log; empty if there is none yet."""
     try:
         with Path(log).open("rb") as file:
             file.seek(0, 2)
@@ -389,7 +389,7 @@ def last_line(log: str) -> str:
     return lines[-1].strip() if lines else ""
 
 
-ATTEMPTS = 3  # of a job whose process ends under it
+ATTEMPTS = 3  # at a job whose process is killed or crashes
 _THREADS = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
@@ -406,7 +406,7 @@ class Worker:
     """A process that runs one job at a time.
 
     Args:
-        memory_mb: that it may use; no bound if None.
+        memory_mb: memory that it may use; no limit if None.
     """
 
     def __init__(self, memory_mb: int | None = None):
@@ -430,7 +430,7 @@ class Worker:
             pass  # it has ended, which `end` will find
 
     def _open(self) -> subprocess.Popen:
-        # More threads than workers only wait for each other; and sums come
+        # One thread each: more would only wait for each other, and sums come
         # out the same wherever a job runs.
         env = os.environ | dict.fromkeys(_THREADS, "1")
         env["PYTHONPATH"] = os.pathsep.join(p or os.getcwd() for p in sys.path)
@@ -449,11 +449,11 @@ class Worker:
 
     @property
     def pipe(self):
-        """Readable once there is an answer, or none to come."""
+        """Stream, readable once the job has answered or its process ended."""
         return self._process.stdout
 
     def end(self) -> Ended | None:
-        """How the job ended; waits. None if it is worth another attempt."""
+        """Wait for the job; how it ended, None to try it again."""
         job, self.job = self.job, None
         try:
             answer = pickle.load(self._process.stdout)
@@ -490,7 +490,7 @@ class Worker:
         )
 
     def _close_pipes(self) -> None:
-        # A job that nobody took is still in the buffer.
+        # Closing flushes a job that the process never read.
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.close()
         self._process.stdout.close()
@@ -504,12 +504,12 @@ class Worker:
         )
 
     def interrupt(self) -> None:
-        """Ctrl-C for its job."""
+        """Send Ctrl-C (SIGINT) to its job."""
         if self._process is not None:
             self._process.send_signal(signal.SIGINT)
 
     def close(self) -> None:
-        """End it at once, with whatever it does."""
+        """Kill the process at once, whatever it does."""
         if self._process is not None:
             self._process.kill()
             self._process.wait()
@@ -522,11 +522,11 @@ class Processes(Pool):
     """Workers on this machine; see `Pool`.
 
     Args:
-        workers: processes at once.
-        memory_mb: that each may use; no bound if None.
+        workers: number of processes.
+        memory_mb: memory that each may use; no limit if None.
 
     Raises:
-        InputError: there would be none.
+        InputError: `workers` is below 1.
     """
 
     def __init__(self, workers: int, memory_mb: int | None = None):
@@ -565,7 +565,7 @@ class Processes(Pool):
         return len(self._workers)
 
     def interrupt(self) -> None:
-        """Ctrl-C for all jobs."""
+        """Send Ctrl-C (SIGINT) to all jobs."""
         for worker in self._workers:
             worker.interrupt()
 
@@ -576,7 +576,7 @@ class Processes(Pool):
 
 
 class Here(Pool):
-    """The process that asks, one job at a time; what a job raises is raised."""
+    """Runs jobs in this process, one at a time; what they raise is raised."""
 
     def __init__(self):
         self._job: Job | None = None
@@ -596,11 +596,11 @@ class Here(Pool):
         return [Ended(job.name, "done", value, attempts=1)]
 
 
-_LEAVE_SECONDS = 20.0  # that a call may take to write what it has
+_LEAVE_SECONDS = 20.0  # for a stopped call to write what it has
 
 
 class Beside:
-    """A call that a second process makes meanwhile.
+    """A call that runs in a second process, in the background.
 
     Args:
         pool: of that process.
@@ -612,7 +612,7 @@ class Beside:
         pool.start(job)
 
     def value(self) -> Any:
-        """Wait for what it returns.
+        """Wait for the call; what it returns.
 
         Raises:
             InputError: as the call does.
@@ -625,20 +625,20 @@ class Beside:
         return ended[0].result()
 
     def stop(self) -> None:
-        """Ctrl-C for the call, which leaves what it has so far."""
+        """Send Ctrl-C to the call and wait while it writes what it has."""
         self._pool.interrupt()
         self._pool.wait(_LEAVE_SECONDS)
 
 
 @contextmanager
 def second_process() -> Iterator[Callable[..., Beside]]:
-    """Another process, which makes one call after the other.
+    """A second process that makes calls in the background, one by one.
 
-    What a call prints is lost. Left, the process is ended.
+    What a call prints is lost. The process ends with the `with` block.
 
     Returns:
-        Function of a module's function and its arguments by name, which are
-        pickled; it begins the call.
+        begin(function, **arguments), which begins a call of a module's
+        function with pickled arguments and returns it as `Beside`.
     """
     with Processes(1) as pool:
 
@@ -650,12 +650,12 @@ def second_process() -> Iterator[Callable[..., Beside]]:
         yield begin
 
 
-_CONNECT_SECONDS = 60.0  # a scheduler that starts again has that long
+_CONNECT_SECONDS = 60.0  # for a scheduler to answer, which may be restarting
 _HERE = threading.local()
 
 
 def run_on_worker(job: Job, memory_mb: int | None) -> Ended:
-    """On a Dask worker: the job in this thread's own process."""
+    """Run a job on a Dask worker, in a process that its thread owns."""
     worker = getattr(_HERE, "worker", None)
     if worker is None or worker.memory_mb != memory_mb:
         worker = _HERE.worker = Worker(memory_mb)
@@ -673,7 +673,7 @@ class Cluster(Pool):
     Args:
         address: of the scheduler, tcp://HOST:PORT, or tls:// with
             certificates as Dask's configuration names them.
-        memory_mb: that each job's process may use; no bound if None.
+        memory_mb: memory that each job's process may use; no limit if None.
 
     Raises:
         InputError: dask.distributed is not installed, or no scheduler
@@ -721,7 +721,7 @@ class Cluster(Pool):
             time.sleep(1.0)
 
     def room(self) -> int:
-        """As many as there are: the scheduler keeps what waits."""
+        """No limit: the scheduler queues jobs."""
         return 2**31
 
     def start(self, job: Job) -> None:
@@ -766,7 +766,7 @@ class Cluster(Pool):
         return Ended(name, "lost", error=f"the cluster says: {reason(error)}")
 
     def _begin_again(self) -> None:
-        """After a scheduler that has gone: whatever was running, anew."""
+        """Connect to a restarted scheduler and submit unfinished jobs again."""
         self._client.close(timeout=1)
         self._client = self._connect()
         self._futures.clear()
@@ -774,7 +774,7 @@ class Cluster(Pool):
             self._submit(job)
 
     def running(self) -> dict[str, float]:
-        """Jobs that the scheduler has, those included that wait there."""
+        """See `Pool`; includes jobs that wait at the scheduler."""
         now = time.monotonic()
         found = {}
         with contextlib.suppress(OSError, TimeoutError, ValueError):

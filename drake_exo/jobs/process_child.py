@@ -1,7 +1,7 @@
-"""A process that runs one job after the other; see `engine.Worker`.
+"""Main program of the process in which `engine.Worker` runs jobs.
 
-Jobs come as pickles on standard input, answers go back on what was standard
-output; what a job prints goes to standard error.
+Jobs arrive as pickles on standard input, one at a time; answers go back on what
+was standard output. What a job prints goes to standard error.
 """
 
 import errno
@@ -19,7 +19,7 @@ from drake_exo.errors import InputError, reason
 
 
 def bound_memory(megabytes: int) -> None:
-    """Let the system refuse more memory than that (Linux)."""
+    """Limit this process's memory; the system refuses more (Linux)."""
     import resource
 
     limit = megabytes * 2**20
@@ -27,13 +27,13 @@ def bound_memory(megabytes: int) -> None:
 
 
 def function_of(name: str) -> Callable:
-    """The function of "module:name"."""
+    """Import the function that "module:name" names."""
     module, _, name = name.partition(":")
     return getattr(importlib.import_module(module), name)
 
 
 def call(function: str, arguments: dict) -> dict:
-    """Answer of a job: state, value or error and trace, seconds."""
+    """Run a job; its answer: state, value or error and trace, seconds."""
     start = time.perf_counter()
     answer = {"state": "failed"}
     try:
@@ -54,7 +54,7 @@ def call(function: str, arguments: dict) -> dict:
 
 
 def _read(inbox, jobs: queue.SimpleQueue) -> None:
-    """Pass jobs on; whoever has lost its master ends, even at work."""
+    """Queue jobs from the input; exit, even at work, when the parent has."""
     try:
         while True:
             jobs.put(pickle.load(inbox))
@@ -66,7 +66,7 @@ def _read(inbox, jobs: queue.SimpleQueue) -> None:
 
 
 def main() -> None:
-    """Until the input ends."""
+    """Run jobs from standard input until it ends."""
     outbox = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     if len(sys.argv) > 1:
