@@ -1,11 +1,11 @@
-"""Figures of movements, measured beside the model's, and of contact laws.
+"""Draws figures of movements, computed over measured, and of contact laws.
 
 A run is a list of solved trials with a label; several runs (C1 and C2) are
-drawn over the same measured curves. One column for each trial. A design's show
-device and forces of each cuff, before and after.
+drawn over the same measured curves, in one column for each trial. Figures of a
+design show the device and the force of each cuff, before and after.
 
-Of the contact laws the paper's Figures 8 and 9 show curves without their
-parameters; here they are stated under each figure and can be chosen on the
+The paper's Figures 8 and 9 show curves of contact laws without their
+parameters; here they are stated in each figure and can be chosen on the
 command line (`drake-exo contact --out DIR`).
 """
 
@@ -57,7 +57,7 @@ def draw_figures(
     bands: Sequence[Bands | None] = (),
     mark: str = "",
 ) -> None:
-    """Figures of one phase into a folder, as far as there are signals."""
+    """Draw the figures of one phase that there are signals for, to a folder."""
     figures = plot_trials(found, measured, uncalibrated, bands)
     for name, figure in figures.items():
         save_figure(folder / f"{name}.png", figure, mark)
@@ -69,13 +69,13 @@ def plot_trials(
     uncalibrated: Sequence[Trial | None] = (),
     bands: Sequence[Bands | None] = (),
 ) -> dict[str, Figure]:
-    """All figures of some solved trials beside what was measured.
+    """Figures of solved trials over the measured ones.
 
     Args:
         found: solved trials.
         measured: the same trials in the same order.
-        uncalibrated: the same trials predicted with nominal cuffs, if any.
-        bands: around `found`, if there are any.
+        uncalibrated: the same predicted with nominal cuffs, None if not solved.
+        bands: 95 % bands around the cuffs' forces of `found`, if any.
 
     Returns:
         "ground_reaction", "kinematics" and, where there are such signals,
@@ -141,10 +141,10 @@ _JOINTS = (Trial.coordinate, "°"), (Trial.velocity, "°/s")
 
 
 def _joint_rows(trial: Trial, read, unit: str) -> list[tuple]:
-    """One of the device's joints shares the row of the human's beside it."""
+    """Rows of all joints; a device's is in that of the human's beside it."""
     names = trial.coordinates
     beside = {names.follows(name): name for name in names.device}
-    beside.pop(None, None)  # one that stands still is beside none
+    beside.pop(None, None)  # of a joint that no human joint moves
     alone = [name for name in names.device if name not in beside.values()]
     rows = []
     for joint in (*names.human, *alone):
@@ -158,7 +158,7 @@ def _joint_rows(trial: Trial, read, unit: str) -> list[tuple]:
 
 
 def _joint_name(names: Coordinates, joint: str) -> str:
-    """As it stands on the axes of its own row."""
+    """Name of a joint on the axis of its own row."""
     if joint in names.device:
         return f"exo. {joint.removeprefix('exo_')}"
     return joint
@@ -172,7 +172,7 @@ def interaction_figure(
     Args:
         runs: label -> solved trials.
         trials: as measured.
-        bands: around those of the first run, if there are any.
+        bands: 95 % bands around the forces of the first run, if any.
     """
     found = [t for run in runs.values() for t in run if t is not None]
     rows = _cuff_rows(*found)
@@ -190,13 +190,13 @@ def _cuff_rows(*found: Trial) -> list[tuple]:
     def signal(cuff):
         return lambda t: t.cuffs[cuff].normal if cuff in t.cuffs else None
 
-    # Models that are compared may have other cuffs.
+    # Models that are compared may have different cuffs.
     cuffs = dict.fromkeys(cuff for trial in found for cuff in trial.cuffs)
     return [(f"{cuff} normal [N]", signal(cuff)) for cuff in cuffs]
 
 
 def _shade(axes, trial: Trial, band: Bands) -> None:
-    """Bands of normal forces, as `Bands.coverage` counts them."""
+    """Draw bands of normal forces, as `Bands.coverage` counts them."""
     # Rows of other runs' cuffs come after those of the first.
     for ax, cuff in zip(axes, trial.cuffs, strict=False):
         off = band.off_mats.get(cuff, 0.0)
@@ -206,9 +206,9 @@ def _shade(axes, trial: Trial, band: Bands) -> None:
 def _draw_band(
     ax, trial: Trial, band: Bands, cuff: str, color: str, shown=1.0, off=0.0
 ) -> None:
-    """Where a cuff's normal force, times `shown`, is with 95 %.
+    """Shade the 95 % band of a cuff's normal force, times `shown`.
 
-    Of cuffs with mats: where these would show it, `off` by what is known [N].
+    With mats it is the band of what these would show: `off` is added [N].
     """
     middle = shown * trial.cuffs[cuff].normal + off
     width = max(shown, 1.0) * band.normal(cuff)
@@ -234,7 +234,7 @@ def overview_figure(
     Args:
         found: as predicted.
         measured: the same trial.
-        band: around the cuffs' forces, if there is one.
+        band: 95 % band around the cuffs' forces, if any.
     """
     cuffs = _cuff_rows(found)
     columns = [_joint_rows(measured, *signal) for signal in _JOINTS]
@@ -301,12 +301,12 @@ def front_figure(rows: list[dict]) -> Figure:
 
 
 def _drawn(runs, trials, rows, height=1.9, shade=None) -> Figure:
-    """Panels of rows (label, signal[, the device's]) by trial.
+    """Figure with a row for each (label, signal[, the device's]), by trial.
 
-    `shade` adds to all of them before the legend is made.
+    `shade` draws into its axes before the legend is made.
     """
     width = _panel_width(len(trials))
-    # In smaller letters than titles.
+    # More fits in than in titles: letters are smaller.
     rows = [(_wrapped(name, 1.25 * height), *of) for name, *of in rows]
     with matplotlib.rc_context(STYLE):
         figure = Figure(
@@ -328,19 +328,19 @@ def _drawn(runs, trials, rows, height=1.9, shade=None) -> Figure:
 
 
 def _panel_width(trials: int) -> float:
-    """Inches: narrower where there are many."""
+    """Width of a trial's panels [inches]; narrower if there are many."""
     return min(3.0, max(1.6, 18.0 / trials))
 
 
 def _wrapped(name: str, width: float) -> str:
-    """A name in lines of some inches, at "_" if it can be."""
+    """A name in lines of a width [inches], broken at "_" if possible."""
     whole = name.replace("_", "_ ").replace("N m", "N\u00a0m")
     lines = textwrap.fill(whole, int(11 * width))
     return lines.replace("_ ", "_").replace("\u00a0", " ")
 
 
 def _fill(axes, found: dict[str, Trial | None], trial: Trial, rows) -> None:
-    """Panels of one trial: as measured, and as each run has it."""
+    """Draw the panels of one trial: as measured, and by each run."""
     looks = [("measured", trial, _MEASURED, _MEASURED_DEVICE)]
     for k, (name, solved) in enumerate(found.items()):
         if solved is None:
@@ -369,7 +369,7 @@ def _finish(figure: Figure, axes) -> None:
         ax.set_xlabel("time [s]")
     figure.align_ylabels()
     top = 1.0 - _legend(figure) / figure.get_size_inches()[1]
-    # Labels hang out of outer panels alone: looking at all takes seconds.
+    # Only labels of outer panels stick out: measuring all takes seconds.
     inner = list(axes[1:-1, 1:].flat)
     for ax in inner:
         ax.set_visible(False)
@@ -380,7 +380,7 @@ def _finish(figure: Figure, axes) -> None:
 
 
 def _legend(figure: Figure) -> float:
-    """One legend for all panels, above them; its height [inches]."""
+    """Add one legend for all panels, above them; its height [inches]."""
     # "measured" first, whichever panel shows it.
     entries = sorted(_entries(figure).items(), key=lambda e: e[0] != "measured")
     entries = dict(entries)
@@ -406,11 +406,11 @@ def _entries(figure: Figure) -> dict[str, object]:
 
 
 def quality_figure(trial: Trial, quality: TrialQuality) -> Figure:
-    """Angles, forces, what Newton misses, moments, mats and markers.
+    """Figure of angles, forces, Newton residual, moments, mats and markers.
 
     Args:
         trial: as loaded.
-        quality: of the same trial.
+        quality: report on the same trial.
     """
     t = trial.start_s + trial.times
     with matplotlib.rc_context(STYLE):
@@ -439,7 +439,7 @@ def quality_figure(trial: Trial, quality: TrialQuality) -> Figure:
 
 
 def _by_joint(ax, trial: Trial, t, signal: Callable) -> None:
-    """A signal of every joint, the device's in the human's colour."""
+    """Draw a signal of every joint, the device's in the human's colour."""
     names = trial.coordinates
     looks = _looks(names.human)
     for joint in names.joints:
@@ -451,7 +451,7 @@ def _by_joint(ax, trial: Trial, t, signal: Callable) -> None:
 
 
 def _looks(names) -> dict[str, dict]:
-    """A colour for each kind of names, a dash for each side."""
+    """Name -> style: a colour for each kind of names, a dash for each side."""
     kinds = dict.fromkeys(map(without_side, names))
     colours = dict(zip(kinds, cycle(COLOURS), strict=False))
     return {
@@ -478,7 +478,7 @@ def _forces(ax, trial: Trial, t) -> None:
     _finish_axes(ax, "forces on the body", "force [N]")
 
 
-_MARKERS = 24  # as many names as can be read, the farthest
+_MARKERS = 24  # the farthest are shown: more names cannot be read
 
 
 def _markers(ax, quality: TrialQuality) -> None:
@@ -527,7 +527,7 @@ _PERSON, _LINKS = "0.82", "0.35"
 def forces_figure(designed) -> Figure:
     """Normal forces over time: a row for each cuff, a column for each trial.
 
-    The model's are times what mats and model differ by, as the forecast is.
+    Like the forecast, the model's are scaled to what mats would show.
 
     Args:
         designed: a `designed.Designed`.
@@ -579,7 +579,7 @@ def forces_figure(designed) -> Figure:
 
 
 def device_figure(designed) -> Figure:
-    """Person and device from the side, with cuffs of today and as designed.
+    """Person and device from the side, with today's and the designed cuffs.
 
     The first wearer at the beginning and at the end of the first trial. A
     cuff is drawn where it holds the limb.
@@ -611,7 +611,7 @@ def device_figure(designed) -> Figure:
                 ]
                 for cuff, (link, _) in tree.cuffs.items()
             }
-            below = np.inf  # the text above: those of both legs lie close
+            below = np.inf  # of the text above: both legs' would overlap
             for cuff in sorted(spots, key=lambda c: -spots[c][1][1]):
                 was, at = spots[cuff]
                 axis.plot(*was, "o", mfc="none", mec=_BEFORE, ms=9)
@@ -654,7 +654,7 @@ def device_figure(designed) -> Figure:
 
 
 def _head(figure: Figure, designed) -> None:
-    """What is an extrapolation, above a figure."""
+    """Write above a figure what in the design is extrapolated."""
     beyond = designed.beyond()
     if beyond:
         text = f"{EXTRAPOLATED}: {', '.join(beyond)}"
@@ -663,7 +663,7 @@ def _head(figure: Figure, designed) -> None:
 
 
 def _told(cuff: str, design: CuffDesign) -> str:
-    """What is to be built of a cuff, in a few words."""
+    """How a cuff of the design differs from today's, in a few words."""
     if design.removed:
         return f"{cuff}: left out"
     words = [
@@ -701,7 +701,7 @@ def _told(cuff: str, design: CuffDesign) -> str:
 
 
 def _draw_link(axis, model, q, joint: str) -> None:
-    """From one joint to the next."""
+    """Draw a line between the origins of the two links of a joint."""
     tree = model.tree
     ends = [
         tree.point_positions(q, link, np.zeros(2))[0]
@@ -720,7 +720,7 @@ def _draw_link(axis, model, q, joint: str) -> None:
 
 
 def _draw_ends(axis, model, q) -> None:
-    """What no joint ends: trunk and head as long as they are, the sole."""
+    """Draw what ends at no joint: trunk with head, and sole."""
     tree, human = model.tree, model.human
     ends = {"pelvis": [(0.0, 0.0), (0.0, human.pelvis.length_m)]}
     ends["foot"] = [human.heel_m, (0.0, 0.0), human.toe_m]
@@ -769,7 +769,7 @@ def design_front_figure(rows: list[dict]) -> Figure:
 
 
 def _draw(axis, cuff: str, moved, built, shown: float) -> None:
-    """One cuff in one trial, moved as today and on the design."""
+    """Draw one cuff's force in one trial, in today's device and the design."""
     before, after = moved
 
     def line(trial: Trial | None, label: str, factor=1.0, **style) -> None:
@@ -792,7 +792,7 @@ DESIGN_FIGURES = {"forces.png": forces_figure, "device.png": device_figure}
 
 @dataclass(frozen=True)
 class ContactCurves:
-    """What the figures are drawn for."""
+    """Parameters that the figures of contact laws are drawn for."""
 
     modulus: float = quantity("N/m²", 5e6, above=0, maximum=1e12)
     dissipation: float = quantity("s/m", 2.0, minimum=0)
@@ -812,7 +812,7 @@ class ContactCurves:
         )
 
     def parameters(self, law: str) -> tuple:
-        """Of a sphere, its stiffness in the law's own definition."""
+        """Stiffness (as the law defines it), dissipation, radius, constants."""
         stiffness = self.modulus
         if law == "paper":
             stiffness = paper_stiffness(self.modulus)
@@ -825,7 +825,7 @@ class ContactCurves:
 
 
 def measures(curves: ContactCurves) -> dict:
-    """Numbers behind the figures: small force and slope out of contact.
+    """Numbers behind the figures: force and slope out of contact, friction.
 
     Returns:
         largest force [N] and least slope [N/m] of the paper's law from 50 mm
@@ -921,7 +921,7 @@ def _draw_zoom(axes, curves: ContactCurves) -> None:
 
 
 def _up(value: float) -> float:
-    """Rounded up to two decimals: a bound must stay one."""
+    """Round up to two decimals, so that a bound stays one."""
     return np.ceil(100.0 * value) / 100.0
 
 
@@ -970,7 +970,7 @@ def draw_friction(curves: ContactCurves):
 
 
 def _mark_level(axes, level: float, text: str, start: float):
-    """A friction coefficient on the axis, and where it is reached."""
+    """Mark a friction coefficient on the axis, and where it is reached."""
     for x, y in (([0.0, start], [level] * 2), ([start] * 2, [0.0, level])):
         axes.plot(x, y, color="0.4", linewidth=0.7, zorder=1)
     axes.annotate(
@@ -984,7 +984,7 @@ def _mark_level(axes, level: float, text: str, start: float):
 
 
 def write_figures(folder: Path, curves: ContactCurves) -> list[Path]:
-    """Writes both figures as PNG and PDF and the numbers behind them.
+    """Write both figures as PNG and PDF and the numbers behind them.
 
     Args:
         folder: that exists.

@@ -1,4 +1,4 @@
-"""Results of earlier commands: found on disk, side by side, in text tables."""
+"""Finds results of earlier commands, compares them, makes text tables."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ _PHASES = ("foot-ground", "interaction", "prediction")
 
 @dataclass(frozen=True)
 class Results:
-    """What one phase left in a folder.
+    """Results that one phase wrote to a folder.
 
     Attributes:
-        folder: where.
-        summary: its summary.json.
+        folder: the folder.
+        summary: contents of its summary.json.
     """
 
     folder: Path
@@ -50,12 +50,12 @@ class Results:
 
     @property
     def scale(self) -> float:
-        """Of the interaction, in a prediction."""
+        """Factor of a prediction on stiffness and damping of the cuffs."""
         return self.summary.get("scale_interaction", 1.0)
 
     @property
     def label(self) -> str:
-        """The paper's name for a prediction, or one that tells it apart."""
+        """The paper's name of a prediction (C1, C2), and what else differs."""
         parts = ["C1" if self.scale == 1.0 else "C2"]
         if self.scale not in (1.0, 1.4):
             parts.append(f"x{self.scale:g}")
@@ -68,7 +68,7 @@ class Results:
 
     @property
     def mark(self) -> str:
-        """What has to stand wherever it is shown; empty where it holds."""
+        """Text to show wherever the result is shown; empty if it holds."""
         return stored_mark(self.summary)
 
     @property
@@ -89,7 +89,7 @@ class Results:
         return [row for row in rows if row is not None]
 
     def pairs(self) -> list[tuple[Trial, Trial]]:
-        """Every scored trial as found, and as measured."""
+        """Every scored trial, as computed and as measured."""
         return [
             (
                 read_trial(self.folder, row["trial"]),
@@ -99,7 +99,7 @@ class Results:
         ]
 
     def uncalibrated_trial(self, trial: str) -> Trial | None:
-        """A trial as predicted with nominal cuffs, where that was solved."""
+        """A trial predicted with nominal cuffs; None if not solved."""
         source = "uncalibrated"
         if not (self.folder / f"{source}_{trial}.json").is_file():
             return None
@@ -107,7 +107,7 @@ class Results:
 
 
 def not_solved_uncalibrated(summary: dict[str, Any]) -> list[str]:
-    """Trials of a summary that nominal cuffs did not solve, by name."""
+    """Names of trials that were not solved with nominal cuffs."""
     rows = summary.get("rmsd_uncalibrated", [])
     pairs = zip(summary["rmsd"], rows, strict=False)
     return [row["trial"] for row, usual in pairs if usual is None]
@@ -127,8 +127,8 @@ def gather(folder: Path, accept: Sequence[str] | None = None) -> list[Results]:
 
     Args:
         folder: to look through.
-        accept: "solved" lets pass what was not solved, marked; None where
-            nothing may be accepted.
+        accept: "solved" keeps what was not solved, marked; None if the
+            command has no --accept.
 
     Raises:
         InputError: there are none, a summary cannot be read, one is of a
@@ -161,7 +161,7 @@ def gather(folder: Path, accept: Sequence[str] | None = None) -> list[Results]:
 
 
 def check_one_study(found: Sequence[Results]) -> None:
-    """Refuse what would be mixed up in one table.
+    """Refuse results that one table would mix up.
 
     Raises:
         InputError: results are of several subjects, or two have one label.
@@ -221,7 +221,7 @@ def _check(path: Path, summary: dict[str, Any]) -> None:
 
 
 def _is_objective(summary: dict[str, Any]) -> bool:
-    """A prediction's is a name, a calibration's the value reached."""
+    """Whether it is a prediction's name, or a calibration's value reached."""
     found = summary.get("objective")
     if summary["phase"] == "prediction":
         return isinstance(found, str | None)
@@ -239,7 +239,7 @@ def _is_parameter(row: Any) -> bool:
 
 
 def _are_scores(value: Any) -> bool:
-    """Numbers or nothing, by name, in groups or not."""
+    """Whether it is a number, None, or nested dictionaries of these."""
     if isinstance(value, dict):
         return all(k == "trial" or _are_scores(v) for k, v in value.items())
     return value is None or _is_number(value)
@@ -256,12 +256,12 @@ _ASKED = ("subject", "settings", "scale_interaction", "controller", "accepted")
 
 @dataclass(frozen=True)
 class Comparison:
-    """Results of one phase.
+    """Results of one phase, side by side.
 
     Attributes:
-        labels: shortest that tell the folders apart.
-        results: of each.
-        trials: names of those that all have.
+        labels: shortest names that tell the folders apart.
+        results: one for each label.
+        trials: names of the trials that all results have.
     """
 
     labels: tuple[str, ...]
@@ -295,11 +295,11 @@ class Comparison:
         return format_table(header, [[k, *cells] for k, cells in rows.items()])
 
     def settings(self) -> dict[str, list[str]]:
-        """Dotted key -> what each says, of keys that are not the same.
+        """Dotted key -> value of each result, for keys that differ.
 
-        Of predictions with the contact that they are made with; of one
-        subject with the model and the windows of the common trials; with the
-        filter of the first of these.
+        Includes the contact that predictions use; if all are of one subject,
+        the model and the common trials' windows; and the filter of the first
+        of these trials.
         """
         found = []
         for r in self.results:
@@ -344,7 +344,7 @@ class Comparison:
         return rows
 
     def rmsd(self) -> dict[str, list[str]]:
-        """Signal -> mean over the trials that all have, of each."""
+        """Signal -> mean over the common trials, of each result."""
         ours = [
             [row for row in r.summary["rmsd"] if row["trial"] in self.trials]
             for r in self.results
@@ -359,9 +359,9 @@ class Comparison:
         }
 
     def forces(self) -> dict[str, list[str]]:
-        """Signal -> largest value of each, last as measured.
+        """Signal -> largest value (mean of trials) of each result, measured.
 
-        Of a cuff in the trials in which a mat measured it.
+        For a cuff over the trials in which a mat measured it, if any.
         """
         measured = self.measured()
         runs = [self.found(k) for k in range(len(self.results))] + [measured]
@@ -372,7 +372,7 @@ class Comparison:
             ]
         }
         for cuff in cuffs:
-            # Mats are not on every cuff in every trial: like with like.
+            # Not every trial has mats on every cuff: compare the same ones.
             use = [cuff in t.cuffs for t in measured]
             use = use if any(use) else [True] * len(use)
             rows[f"normal force {cuff} [N]"] = [
@@ -397,9 +397,9 @@ class Comparison:
         return [read_trial(folder, n, "measured") for n in self.trials]
 
     def figures(self) -> dict:
-        """Curves of all results over the measured ones, by name.
+        """Figures of all results over the measured curves, by name.
 
-        Of one subject on the first result's times: windows may differ.
+        For one subject in the first result's times, since windows may differ.
         """
         from drake_exo.report import figures
 
@@ -430,7 +430,7 @@ def compare(folders: Sequence[str | Path]) -> Comparison:
 
     Raises:
         InputError: a folder holds no results, or several; or they cannot be
-            compared: other phases, other coordinates, no trial in common.
+            compared: different phases or coordinates, no trial in common.
     """
     if len(folders) < 2:
         raise InputError("one result cannot be compared; give two or more")
@@ -460,7 +460,7 @@ def compare(folders: Sequence[str | Path]) -> Comparison:
 
 
 def _results(folder: Path) -> Results:
-    """Those of a folder itself, or the only ones below it."""
+    """The results in a folder itself, or the only ones below it."""
     found = gather(folder)
     own = [r for r in found if r.folder == folder]
     if not own and len(found) > 1:
@@ -501,7 +501,7 @@ def _plain(value) -> str:
 
 
 def _peak(signals: list[np.ndarray]) -> str:
-    """Mean of the largest values."""
+    """Mean of the signals' largest absolute values, as text."""
     peaks = [np.nanmax(np.abs(x)) for x in signals]
     return _cell(float(np.mean(peaks)) if peaks else None)
 
@@ -509,7 +509,7 @@ def _peak(signals: list[np.ndarray]) -> str:
 def format_table(
     header: Sequence[str], rows: Sequence[Sequence], digits: int = 2
 ) -> str:
-    """Columns aligned; the first is text, numbers have fixed decimals."""
+    """Text table with aligned columns; numbers have `digits` decimals."""
     cells = [[_cell(value, digits) for value in row] for row in rows]
     widths = [
         max(len(row[i]) for row in [list(header), *cells])
@@ -534,10 +534,10 @@ def _cell(value, digits: int = 2) -> str:
 
 
 def rmsd_table(rmsd: list[dict], spread: dict | None = None) -> str:
-    """RMSD of every signal: one column a trial, mean, SD, and spread.
+    """Text table of every signal's RMSD: each trial, mean, SD, and spread.
 
     Args:
-        rmsd: one dictionary for each trial, see `scores.rmsd`.
+        rmsd: one dictionary for each trial, see `audit.rmsd`.
         spread: one standard deviation over the measured trials.
     """
     header = ["RMSD", *(r["trial"] for r in rmsd), "mean", "SD"]
@@ -575,7 +575,7 @@ _UNITS = {
 
 
 def rmsd_signals(rmsd: list[dict]):
-    """(label, keys) of every signal that some trial has."""
+    """(label, path of keys) of every signal that some trial has."""
     for key, label in _UNITS.items():
         names: dict = {}
         for trial in rmsd:
@@ -589,16 +589,16 @@ def rmsd_signals(rmsd: list[dict]):
 
 
 def place(name: str) -> tuple[int, str]:
-    """Where a coordinate, component or segment stands in a table.
+    """Sort key of a coordinate, component or segment in a table.
 
-    Left beside right; others last, by name: files keep no order of their own.
+    Left is beside right; unknown names are last, by name: files keep no order.
     """
     both = without_side(name.replace(" ", "_"))
     return _ORDER.index(both) if both in _ORDER else len(_ORDER), name
 
 
 def lookup(tree, path) -> float | None:
-    """Follow keys into nested dictionaries; None where no number is."""
+    """Number at a path of keys in nested dictionaries; None without one."""
     for key in path:
         tree = tree.get(key) if isinstance(tree, dict) else None
     return None if tree is None or isinstance(tree, dict) else float(tree)
@@ -703,7 +703,7 @@ def front_table(rows: list[dict]) -> str:
 
 
 def rounded(value: float) -> str:
-    """Three digits, without a power of ten.
+    """A number with three significant digits, without a power of ten.
 
     >>> rounded(52947.3)
     '52 900'

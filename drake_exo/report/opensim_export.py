@@ -1,15 +1,15 @@
-"""A calibration, written into the OpenSim model that its person was read from.
+"""Writes a calibration into the OpenSim model that its person was read from.
 
 Spheres become SmoothSphereHalfSpaceForces, cuffs BushingForces (those that
-slip ExpressionBasedBushingForces), the device's links bodies with pins. A
-person of one leg has all of them on both legs, each with half the stiffness,
-damping, mass and inertia.
+slip ExpressionBasedBushingForces), the device's links bodies with pin joints.
+If one leg stands for both, both get all of these, each with half the
+stiffness, damping, mass and inertia.
 
-Movements become states of the model: its pelvis, and feet, are where the
-planar ones are, so that knees that slide do not move the contacts; hips, knees
-and ankles take up what planar pins lack, and where a leg has six coordinates
-the foot keeps upright, too. Forces of the exported numbers at those states are
-evaluated from the file alone, by a reader that knows nothing of the planar
+Movements become states of the model. Inverse kinematics puts its pelvis and
+feet where the planar ones are, so that a knee that slides as it flexes does not
+move the contacts: hip, knee and ankle differ from planar pins instead. If a leg
+has six coordinates, its foot is also kept upright. As a check, contact forces
+at those states are evaluated from the written file alone, without the planar
 model.
 """
 
@@ -49,18 +49,18 @@ from drake_exo.model.segments import SEGMENTS
 
 _BODIES = {"thigh": "femur", "shank": "tibia", "foot": "calcn", "toes": "toes"}
 _ORIGINS = {"thigh": "knee", "shank": "ankle", "foot": "ankle", "toes": "toes"}
-_STEPS, _THERE = 60, 1e-11  # of the inverse kinematics [m or rad]
+_STEPS, _THERE = 60, 1e-11  # most Newton steps, tolerance [m or rad]
 _LARGEST_STEP = 0.3
 
 
 @dataclass(frozen=True)
 class Copy:
-    """A planar body as the model has it.
+    """One copy of a planar body in the OpenSim model.
 
     Attributes:
-        body: of the model.
-        frame: the planar body's frame on it.
-        end: of names, such as "_r"; empty for what there is once.
+        body: of the OpenSim model.
+        frame: pose of the planar body's frame in it.
+        end: suffix of names, such as "_r"; empty for what exists once.
     """
 
     body: str
@@ -69,11 +69,11 @@ class Copy:
 
 
 class Copies:
-    """Where the planar model's bodies are in OpenSim's.
+    """Finds the planar model's bodies in the OpenSim model.
 
     Args:
         model: planar, of one leg or two.
-        person: of OpenSim's.
+        person: the OpenSim model, as read.
     """
 
     def __init__(self, model: Model, person: OsimPerson):
@@ -86,12 +86,12 @@ class Copies:
 
     @property
     def ends(self) -> tuple[str, ...]:
-        """Of the copies of what is not of one side."""
+        """Name suffixes of the copies of a body that has no side."""
         return ("",) if self.who.sides else tuple(ENDS.values())
 
     @property
     def share(self) -> float:
-        """Of stiffness and mass that each of them has."""
+        """Share of stiffness and mass that each of these copies gets."""
         return 1.0 / len(self.ends)
 
     def of(self, segment: str) -> Iterator[Copy]:
@@ -104,7 +104,7 @@ class Copies:
             yield Copy(body, self._frame(body, part, own), named)
 
     def _frame(self, body: str, part: str, side: str) -> Pose:
-        """A segment's frame on a body of the model, at its zeros."""
+        """Pose of a segment's frame in a body, with all coordinates zero."""
         R_GP, p_GP = self.zero["pelvis"]
         place, lean, aside = self.person.middle, 0.0, 0.0
         if part != "pelvis":
@@ -132,7 +132,7 @@ def about_z(angle: float) -> np.ndarray:
 
 
 def on_frame(frame: Pose, x: float, z: float, angle: float = 0.0) -> Pose:
-    """A planar frame on a body, given where it is in a segment's frame."""
+    """Pose in a body of a planar frame that is given in a segment's frame."""
     return Pose(
         frame.R @ about_z(angle), frame.p + frame.R @ np.array([x, z, 0.0])
     )
@@ -140,7 +140,7 @@ def on_frame(frame: Pose, x: float, z: float, angle: float = 0.0) -> Pose:
 
 @dataclass(frozen=True)
 class Link:
-    """A pin of the device as the model has it: its name and coordinate."""
+    """A pin joint of the device: its name, and the links that it joins."""
 
     joint: str
     parent: str
@@ -148,7 +148,7 @@ class Link:
 
 
 def states_of(copies: Copies, links, osim: OsimModel, trial: Trial):
-    """Coordinates and speeds (n,) of the model, by name."""
+    """Coordinates and speeds (n,) of the OpenSim model in a trial, by name."""
     tree, n = copies.tree, len(trial.times)
     q: dict[str, np.ndarray] = {}
     v: dict[str, np.ndarray] = {}
@@ -209,7 +209,7 @@ def states_of(copies: Copies, links, osim: OsimModel, trial: Trial):
 
 
 def _free(osim: OsimModel, body: str) -> list[str]:
-    """Coordinates between the pelvis and a body that are not held."""
+    """Coordinates between the pelvis and a body that are not locked."""
     found = []
     while body != "pelvis":
         joint = osim.joint_of(body)
@@ -249,11 +249,11 @@ def _root(osim: OsimModel) -> list[str]:
 
 
 def _reach(osim, q, v, names, copy: Copy, target, rate, rows, what) -> None:
-    """Coordinates and speeds that put a body's frame where it should be.
+    """Find coordinates `q`, speeds `v` that put a body's frame on a target.
 
-    Newton's method, all states at once; `q` holds the first guess. Rows of
-    `target` and `rate` are x, y, the angle in the plane, z, and the x and y of
-    the frame's z axis, which is to stay normal to the plane.
+    Newton's method, all n states at once; `q` holds the first guess. Columns of
+    `target`, `rate` (n, 6), of which `rows` are met: x, y, angle in the plane,
+    z, and x and y of the frame's z axis, which stays normal to the plane.
     """
     n = len(target)
 
@@ -303,7 +303,7 @@ def _reach(osim, q, v, names, copy: Copy, target, rate, rows, what) -> None:
 
 
 def _couple(osim: OsimModel, q, v) -> None:
-    """Coordinates that constraints of the model make of others."""
+    """Set the coordinates that the model's constraints couple to others."""
     for coupler in osim.couplers:
         at = q.get(coupler.independent)
         if at is not None:
@@ -321,9 +321,9 @@ def write_states(
     energies: list[str],
     mark: str = "",
 ) -> None:
-    """States as OpenSim names them; coordinates that do not move are zero.
+    """Write states by OpenSim's names; coordinates that do not move are zero.
 
-    So are `energies`, which bushings count from wherever they start.
+    So are `energies`, dissipated in bushings, whose start does not matter.
     """
     columns, values = [], []
     zero = np.zeros(len(trial.times))
@@ -343,7 +343,7 @@ def write_states(
 def write_forces(
     path: Path, copies: Copies, trial: Trial, mark: str = ""
 ) -> None:
-    """Ground reaction of each foot, as OpenSim's external loads have it."""
+    """Write the ground reaction of each foot as OpenSim's external loads."""
     two = bool(copies.who.sides)
     columns, values = external_loads(
         {
@@ -358,7 +358,7 @@ def write_forces(
 
 
 def own_forces(copies: Copies, contact: ContactModel, trial: Trial):
-    """Side -> force (n, 2) of the calibrated law at the solution."""
+    """Side -> force (n, 2) [N] by the calibrated law at the solution."""
     found = {side: np.zeros((len(trial.times), 2)) for side in ENDS}
     for segment, ground in contact.ground.under(copies.model).items():
         for s in ground.spheres.values():
@@ -382,7 +382,7 @@ def own_forces(copies: Copies, contact: ContactModel, trial: Trial):
 
 
 def exported_forces(file: xml.OsimFile, osim: OsimModel, q, v):
-    """Side -> force (n, 2) of the numbers that were written, in the plane."""
+    """Side -> force in the plane (n, 2) [N] by the exported numbers."""
     n = len(next(iter(q.values())))
     poses = osim.poses(q, n)
     found = {side: np.zeros((n, 2)) for side in ENDS}
@@ -425,7 +425,7 @@ def exported_forces(file: xml.OsimFile, osim: OsimModel, q, v):
 
 
 def turned_off(copies: Copies, q, trial: Trial) -> dict[str, float]:
-    """Largest difference of a leg's coordinates from the pins' angles."""
+    """Leg's coordinate -> largest difference from the planar angle [rad]."""
     found, tree, osim = {}, copies.tree, copies.person.osim
     for side, end in ENDS.items():
         suffix = f"_{side}" if copies.who.sides else ""
@@ -459,9 +459,9 @@ class Export:
     Attributes:
         files: the model first.
         lines: what was carried over and how, in sentences.
-        difference_n: trial -> largest difference of a foot's force between
-            our law at the solution and the exported numbers at the exported
-            states, over time.
+        difference_n: trial -> largest difference [N] over time of a foot's
+            force between our law at the solution and the exported numbers at
+            the exported states.
     """
 
     files: tuple[Path, ...]
@@ -470,7 +470,7 @@ class Export:
 
 
 def _contact(folder: Path, accept: Sequence[str]) -> tuple[ContactModel, str]:
-    """Of a calibration, or of a prediction, that holds, and its mark."""
+    """Contact in a folder, if it holds or is accepted, and its mark."""
     found, path = read_calibration(folder), folder / "summary.json"
     said, own = None, Verdict((found.own_check,))
     if path.is_file():
@@ -579,7 +579,7 @@ def export_opensim(
 
 
 def _carried(folder: Path, model: Model, person: OsimPerson):
-    """Factor of the masses, and shift of the trunk's centre of mass."""
+    """Factor on masses, and shift of the trunk's centre of mass (2,) [m]."""
     ours, theirs = model.human, person.human
     factor = ours.mass_kg / theirs.mass_kg
     shift = np.subtract(ours.pelvis.com_m, theirs.pelvis.com_m)
@@ -603,7 +603,7 @@ def _carried(folder: Path, model: Model, person: OsimPerson):
 
 
 def _weigh(file: xml.OsimFile, person: OsimPerson, factor, shift) -> None:
-    """Masses as the study states them, the trunk's centre where it put it."""
+    """Set masses, inertias and the trunk's centre of mass to the study's."""
     poses = person.osim.poses()
     R_GP = poses["pelvis"][0][0]
     moved = R_GP @ np.array([shift[0], shift[1], 0.0])
@@ -632,7 +632,7 @@ def _add_spheres(file, copies: Copies, contact: ContactModel) -> None:
                     xml.sphere(shape, copy.body, place, sphere.radius),
                 )
                 values = {
-                    # The force is in proportion to it.
+                    # The force is proportional to it.
                     "stiffness": copies.share * sphere.stiffness,
                     "dissipation": sphere.dissipation,
                     **constants,
@@ -676,7 +676,7 @@ def _add_cuffs(file, copies: Copies, contact: ContactModel) -> None:
 
 
 def _springs(b: BushingParameters, share: float) -> tuple[str, dict]:
-    """OpenSim's force that holds one copy of a cuff, and its springs."""
+    """Class of OpenSim's force for one copy of a cuff, and its springs."""
     normal, along, turn = (
         share * k
         for k in (
@@ -699,7 +699,7 @@ def _springs(b: BushingParameters, share: float) -> tuple[str, dict]:
 
 
 def _planar(poses: dict[str, np.ndarray], base: str, body: str) -> Pose:
-    """One body's frame in another's, both of the plane, in OpenSim's axes."""
+    """Pose of one planar body in another (`base`), in OpenSim's axes."""
     x, z, angle = poses[body] - poses[base]
     turn = about_z(-poses[base][2])
     return Pose(about_z(angle), turn @ np.array([x, z, 0.0]))
@@ -713,7 +713,7 @@ def _held(copies: Copies, cuff: str) -> tuple[str, Pose]:
 
 
 def _add_device(file, copies: Copies) -> tuple[Link, ...]:
-    """Bodies of the device, and their joints, from the person outwards."""
+    """Add the device's bodies and their joints, from the person outwards."""
     model = copies.model
     plant, poses = model.plant(), model.upright_poses
     context = plant.CreateDefaultContext()
@@ -769,7 +769,7 @@ def _add_device(file, copies: Copies) -> tuple[Link, ...]:
 
 
 def _ends_of(copies: Copies, parent: str, segments):
-    """Name's end, and (body, frame) that a link hangs from, copy by copy."""
+    """Name's suffix, and (body, frame) that a link hangs from, of each copy."""
     if parent in segments:
         for copy in copies.of(parent):
             end = copy.end if len(copies.ends) > 1 else ""
@@ -780,7 +780,7 @@ def _ends_of(copies: Copies, parent: str, segments):
 
 
 def _at(pose: np.ndarray, place: complex, frame: Pose | None) -> Pose:
-    """A frame along the world's axes at a place, as a link has it."""
+    """Pose in a link of a frame at a place, along the world's axes."""
     x, z, angle = pose
     p = (place - complex(x, z)) * np.exp(-1j * angle)
     return on_frame(

@@ -1,8 +1,8 @@
 """A page that replays results of calibration, prediction and design.
 
 The model moves as computed, beside or over a translucent one that moves as
-measured, or in the device of today; forces of ground, chair and cuffs are
-arrows.
+measured or, for a design, as in today's device. Forces of ground, chair and
+cuffs are arrows.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ _HIP_OVER_SEAT_M = 0.13
 
 
 class DrawnModel:
-    """Where bodies and forces of one model are, over time.
+    """Places of one model's bodies and forces over time, to be drawn.
 
     Args:
         model: subject and device.
-        contact: where the cuffs act; None where they were not calibrated.
+        contact: tells where cuffs act; None if they were not calibrated.
     """
 
     def __init__(self, model: Model, contact: ContactModel | None = None):
@@ -60,7 +60,7 @@ class DrawnModel:
             self.soles = {body: own.spheres for body, own in under.items()}
         plant = model.plant()
         bodies = [plant.GetBodyByName(name) for name in model.tree.names]
-        # In meshcat's tree.
+        # Body -> path in meshcat's tree.
         self._paths = {
             body.name(): f"{plant.GetModelInstanceName(body.model_instance())}"
             f"/{body.name()}"
@@ -72,7 +72,7 @@ class DrawnModel:
         self._bushings = contact.bushings if contact else {}
 
     def poses(self, q: np.ndarray) -> dict[str, np.ndarray]:
-        """Path of a body -> (n, 7) position and quaternion."""
+        """Path of a body -> (n, 7) position [m] and quaternion."""
         return {
             path: spatial(self.pose(q, name))
             for name, path in self._paths.items()
@@ -89,11 +89,11 @@ class DrawnModel:
         return self.tree.point_positions(q, body, (0.0, z))
 
     def seat_height(self, motion: Trial) -> float:
-        """Of a seat that the subject would sit on at the start [m]."""
+        """Height of a seat that the subject would sit on at the start [m]."""
         return float(self.hip(motion.q[:1])[0, 1]) - _HIP_OVER_SEAT_M
 
     def centres_of_pressure(self, motion: Trial) -> dict[str, np.ndarray]:
-        """Path -> place on the ground (n, 3) [m]; NaN where it hardly bears."""
+        """Path -> centre of pressure (n, 3) [m]; NaN where hardly loaded."""
         found = {}
         for side, wrench in motion.soles.items():
             x = wrench.cop_x
@@ -102,7 +102,7 @@ class DrawnModel:
         return found
 
     def arrows(self, motion: Trial) -> dict[str, np.ndarray]:
-        """Force -> (n, 6) point and force, world; NaN where there is none."""
+        """Name -> (n, 6) point [m] and force [N], world; NaN where unloaded."""
         found = {}
         for side, wrench in motion.soles.items():
             rows = _on_level(wrench, 0.0)
@@ -118,7 +118,7 @@ class DrawnModel:
 
     def _cuff(self, motion: Trial, name: str, force: CuffForce) -> np.ndarray:
         human, device = self.tree.cuffs[name]
-        # Mats know the normal part alone.
+        # Mats measure the normal component only.
         wrench = bushing_wrench(
             (*np.nan_to_num(force.components.T[:ROTATION]), 0.0),
             self.pose(motion.q, human).T,
@@ -146,7 +146,7 @@ def spatial(pose: np.ndarray) -> np.ndarray:
 
 
 def _on_level(wrench: PlanarWrench, height: float) -> np.ndarray:
-    """The force of a wrench where its line meets a level, (n, 6)."""
+    """Point and force (n, 6) where a wrench's line of action is at a height."""
     F_x, F_z, M_y = wrench.array.T
     loaded = F_z > 1.0
     z = np.full(len(F_z), height)
@@ -218,7 +218,7 @@ def replay_results(
 
 
 def _replay_design(folder: Path, path: Path) -> None:
-    """The page of a design's first wearer, beside the device of today."""
+    """Write the page of a design's first wearer, beside today's device."""
     summary = read_json(folder / "summary.json", _AGAIN)
     if not summary.get("success"):
         raise InputError(
@@ -246,7 +246,7 @@ def _replay_design(folder: Path, path: Path) -> None:
         for name in summary["trials"]
     ]
     who = str(summary["subjects"][0]).replace("_", " ")
-    # Of today: a cuff that is left out pushes there.
+    # The model of today has the cuffs that the design leaves out.
     write_replay(path, model, trials, f"Design for {who}", "today")
 
 
@@ -263,13 +263,13 @@ class Replayed:
     Attributes:
         title: its name.
         group: trials of one group are listed together.
-        drawn: its model, with cuffs where it has any.
-        simulated: as computed.
+        drawn: its model, with cuffs if there are any.
+        simulated: motion and forces as computed.
         measured: as measured; None if there is nothing to compare with.
         spheres: name -> contact sphere in its segment.
         on_chair: whether to draw a stool.
-        mark: of a result that does not hold.
-        drawn_measured: its model where it is measured, if it is another.
+        mark: text shown with a result that does not hold.
+        drawn_measured: model of `measured`, if it is a different one.
     """
 
     title: str
@@ -284,7 +284,7 @@ class Replayed:
 
     @property
     def halves(self) -> dict[str, tuple[DrawnModel, Trial]]:
-        """Root in meshcat's tree -> what moves there, and how."""
+        """Root in meshcat's tree -> model and motion that are drawn there."""
         found = {SIMULATED: (self.drawn, self.simulated)}
         if self.measured is not None:
             drawn = self.drawn_measured or self.drawn
@@ -306,7 +306,7 @@ def _replayed(results: Results, model: Model) -> list[Replayed]:
             found,
             measured,
             contact.ground.spheres,
-            # A plate under a chair says that there was one.
+            # A plate measured it: there was a chair.
             measured.chair is not None,
             results.mark,
         )
@@ -328,7 +328,7 @@ def write_replay(
         model: with all cuffs whose forces are drawn.
         trials: the first one is played at first.
         title: of the page.
-        other: what the translucent model is, in a word.
+        other: word for what the translucent model shows.
     """
     # The laboratory's origin need not be under the feet.
     centre = round(4.0 * float(trials[0].simulated.q[0, 0])) / 4.0
@@ -379,7 +379,7 @@ def _stage(trials, centre: float, view: View, compared: bool) -> str:
 
 
 def _draw_figures(meshcat, trials, compared: bool) -> None:
-    """Human and exoskeleton, and the ghost."""
+    """Draw the model and, if compared, the translucent one."""
     for root in (SIMULATED, MEASURED)[: 1 + compared]:
         drawn, _ = next(t.halves[root] for t in trials if root in t.halves)
         scene = Scene(
@@ -393,7 +393,7 @@ def _draw_figures(meshcat, trials, compared: bool) -> None:
 
 
 def _draw_markers(meshcat, trial: Replayed, compared: bool) -> None:
-    """Centres of pressure and contact spheres, seen through the feet."""
+    """Draw centres of pressure and contact spheres, seen through the feet."""
     for root, opacity in (("", 1.0), (MEASURED, 0.45))[: 1 + compared]:
         disc = Cylinder(0.022, 0.006)
         for side in trial.simulated.soles:
@@ -419,7 +419,7 @@ def _spheres(trial: Replayed) -> Iterator[tuple]:
 
 
 def _overlay(meshcat, path, shape, colour: str, opacity: float) -> None:
-    """A shape that is seen through the bodies before it."""
+    """Draw a shape that is seen through the bodies in front of it."""
     rgb = (int(colour[i : i + 2], 16) / 255 for i in (0, 2, 4))
     meshcat.SetObject(path, shape, Rgba(*rgb, opacity))
     for name, value in (("depthTest", False), ("transparent", True)):
@@ -427,7 +427,7 @@ def _overlay(meshcat, path, shape, colour: str, opacity: float) -> None:
 
 
 def _arrows(model: Model, other: str) -> list[Arrow]:
-    """All forces, as computed and as measured."""
+    """Arrows of all forces, as computed and as measured."""
     measured = other == "measured"
     drawn = []
     loads = dict(_LOADS)
@@ -454,7 +454,7 @@ def _arrows(model: Model, other: str) -> list[Arrow]:
 
 
 def _clip(trial: Replayed) -> Clip:
-    """One trial as the player takes it, at even times."""
+    """One trial as the player's clip, sampled at even times."""
     end = trial.simulated.times[-1]
     times = np.linspace(0.0, end, max(2, round(end / _SECONDS_PER_FRAME) + 1))
     bodies, arrows = {}, {}
@@ -474,7 +474,7 @@ def _clip(trial: Replayed) -> Clip:
 
 
 def _surroundings(trial: Replayed, motion: Trial) -> dict[str, np.ndarray]:
-    """Contact spheres in the foot, and the stool."""
+    """Path -> poses (n, 7) of the contact spheres and of the stool."""
     found = {}
     tree = trial.drawn.tree
     for path, body, sphere, _ in _spheres(trial):
@@ -490,7 +490,7 @@ def _surroundings(trial: Replayed, motion: Trial) -> dict[str, np.ndarray]:
 
 
 def _still(p: np.ndarray) -> np.ndarray:
-    """Poses (n, 7) at places (n, 3), unturned."""
+    """Poses (n, 7) at places (n, 3), without rotation."""
     return np.column_stack([p, np.tile([1.0, 0.0, 0.0, 0.0], (len(p), 1))])
 
 

@@ -1,8 +1,8 @@
-"""A diagram that only shows a model: no dynamics, a pose in, a picture out.
+"""Draws a model: a Drake diagram without dynamics, a pose in, a picture out.
 
-Kept apart from the diagrams that simulate or plan, because a viewer inside
-a diagram blocks its conversion to other scalar types. Stills and static pages
-need no screen.
+It is kept apart from the diagrams that simulate or plan, because a viewer
+inside a diagram blocks its conversion to other scalar types. Stills and static
+pages need no screen.
 """
 
 import logging
@@ -39,14 +39,14 @@ from drake_exo.model.plant import Model
 
 RENDERER = "still"
 _WOOD = np.array([0.78, 0.66, 0.50, 1.0])
-_STOOL_X_M = -0.47  # of a stool under the model standing at the origin
+_STOOL_X_M = -0.47  # of the stool of a model that stands at the origin
 _GRID_M = 0.25
 _STEEL = np.array([0.45, 0.47, 0.50, 1.0])
 
 
 @contextmanager
 def quiet_drake() -> Iterator[None]:
-    """Keep Drake's log to errors: a page is no server to be told of."""
+    """Hide Drake's notes on Meshcat's server: only its page is used."""
     log = logging.getLogger("drake")
     level = log.level
     log.setLevel(logging.ERROR)
@@ -57,7 +57,7 @@ def quiet_drake() -> Iterator[None]:
 
 
 class Scene:
-    """The model of one kind on the ground, to be posed and looked at.
+    """A model on the ground, to be posed and drawn.
 
     Attributes:
         plant: the plant within the diagram.
@@ -84,9 +84,9 @@ class Scene:
 
         Args:
             model: subject and device.
-            chair_height_m: height of a stool's seat under the model standing
-                at the origin; none is drawn if None.
-            meshcat: where to publish to.
+            chair_height_m: height of the seat of a stool behind the model,
+                which stands at the origin; none is drawn if None.
+            meshcat: to publish to.
             prefix: path there, under which the bodies hang.
             colour: of everything, such as a translucent one; the model's own
                 colours if None.
@@ -114,7 +114,7 @@ class Scene:
         self.context = self.diagram.CreateDefaultContext()
 
     def _paint(self, colour: Rgba) -> None:
-        """Give all that is drawn one colour."""
+        """Draw everything in one colour."""
         inspector = self._scene_graph.model_inspector()
         for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
             look = IllustrationProperties(
@@ -146,8 +146,8 @@ class Scene:
         """Positions with flat feet on the ground.
 
         Args:
-            joints_deg: of the human: ankle, knee, hip [deg].
-            offsets_deg: by how much the exoskeleton's angles differ [deg].
+            joints_deg: the human's ankle, knee, hip [deg].
+            offsets_deg: added for the exoskeleton's [deg].
 
         Returns:
             (nq,) positions of the plant.
@@ -242,7 +242,7 @@ def _renderer():
 
 
 def _draw_stool(plant, height_m: float) -> None:
-    """A stool behind the feet, a picture only: it bears no force."""
+    """Draw a stool behind the feet; it bears no force."""
     for name, (shape, p, colour) in _stool(height_m).items():
         plant.RegisterVisualGeometry(
             plant.world_body(),
@@ -269,14 +269,14 @@ def _stool(height_m: float) -> dict[str, tuple]:
 
 
 def add_stool(meshcat: Meshcat, path: str, height_m: float) -> None:
-    """A stool in meshcat alone, its seat centred over the path's origin."""
+    """Draw a stool in meshcat only, its seat centred over the path's origin."""
     for name, (shape, p, colour) in _stool(height_m).items():
         meshcat.SetObject(f"{path}/{name}", shape, Rgba(*colour))
         meshcat.SetTransform(f"{path}/{name}", RigidTransform(p))
 
 
 def add_floor(meshcat: Meshcat, centre_x_m: float) -> None:
-    """A floor with a grid of 0.25 m in meshcat alone, its top at z = 0."""
+    """Draw a floor with a 0.25 m grid in meshcat only, its top at z = 0."""
     length, width, depth = 5.0, 2.5, 0.01
     meshcat.SetObject(
         "/floor/slab", Box(length, width, depth), Rgba(0.86, 0.87, 0.89)
