@@ -72,11 +72,11 @@ COARSE = (
     Stage((10, 6, 3), 24, 3e-4, 0.2, 16),
     Stage((10, 6, 3), 24, 1e-4, 0.2, 8),
 )
-# Of c_rot over the brick's; the first is the paper's 1-Ref.
+# Floors of c_rot over the brick's; the first is 1-Ref's in Table 2.
 FLOORS = (0.9721, 1.1, 1.2, 1.3, 1.4, 1.55, 1.7, 1.85)
 _WHOLE = "1-Ref"  # the case with the whole front
-# Folder and key of the cases without limits; their names are those of the
-# others. Keys of the fronts.
+# Folder and key of the cases without limits, named like those with. Key of
+# cases -> folder, and -> key of their front.
 UNLIMITED = "unlimited"
 _BELOW = {"cases": "", UNLIMITED: UNLIMITED + "/"}
 _FRONTS = {"cases": "front", UNLIMITED: "unlimited_front"}
@@ -85,7 +85,7 @@ _TOLD = ("/optimize", "/front")  # jobs whose end is worth a line
 
 
 def step_block(root: Path | None) -> LoadBlock:
-    """The authors' step where `root` has it, else our own pattern's.
+    """The authors' step if `root` has it, else our own walking pattern.
 
     Raises:
         InputError: `root` is no folder.
@@ -129,10 +129,10 @@ def five_cases(load: LoadBlock, coarse: bool) -> list[Settings]:
 
 @dataclass(frozen=True)
 class Study:
-    """The five cases, with the paper's limits or ours.
+    """The five cases, with our limits or without, as in the paper.
 
     Attributes:
-        source: Of the step, in words.
+        source: Where the step comes from, in words.
         limits: "all", "none" or "both".
         variants: Cases by their key in summary.json.
     """
@@ -150,14 +150,14 @@ class Study:
         limits: str = "all",
         iterations: int | None = None,
     ) -> "Study":
-        """The cases, opened.
+        """Read step and mesh of the five cases.
 
         Args:
             data_root: Folder with the authors' step, if there.
             mesh_file: Used instead of the brick, in the last stage.
             coarse: Two coarse stages, for a first look.
             limits: Whether stability, tilt and strain are limited.
-            iterations: At most so many in the last stage.
+            iterations: Largest number in the last stage.
 
         Raises:
             InputError: The mesh cannot be read, or the step leaves it.
@@ -183,10 +183,10 @@ class Study:
         with_front: bool = False,
         accepted: Sequence[str] = (),
     ) -> tuple[Verdict, str]:
-        """Optimise all; a folder a case, summary.json, table.txt, front.png.
+        """Optimise all cases; write a folder of each, tables and front.png.
 
         Args:
-            out: Where to.
+            out: Folder; also gets summary.json and table.txt.
             at_once: Processes at a time.
             with_front: Also the front of c_tr against c_rot.
             accepted: Names of checks that the user accepts.
@@ -215,7 +215,7 @@ class Study:
         jobs += fronts if with_front else []
 
         def note() -> None:
-            """After every case: an interrupted study keeps its cases."""
+            """Write the summary after every case, in case of Ctrl-C."""
             for key, cases in self.variants.items():
                 folder = out / _BELOW[key]
                 summary[key] = [
@@ -266,16 +266,16 @@ class Study:
 
 
 def optimize_job(folder: Path, case: Case, say, search, accepted=()) -> str:
-    """The design that a search has found, written; the line on it."""
+    """Write the design that a search has found; a line on it."""
     (found,) = search.values()
     design = finished(case, found, say)
     return line(design.write(folder, say, accepted))
 
 
 def front_job(folder: Path, case: Case, say) -> str:
-    """Write a case's part of a study: front.json; says how many points.
+    """Write a case's front.json; says how many points it has.
 
-    The front of 1-Ref; of every other case the paper's own ratio.
+    1-Ref has the whole front, others the point at the paper's ratio of c_rot.
     """
     tr0, tr, rot0, rot = TABLE_2[case.name]
     floors = FLOORS
@@ -288,7 +288,7 @@ def front_job(folder: Path, case: Case, say) -> str:
 
 
 def study_front(folder: Path, cases: list[Case]) -> dict:
-    """The points on disk: those of 1-Ref, the first of every case."""
+    """Points of front.json: all those of 1-Ref, and the first of each case."""
     found = {"points": [], "at_paper": []}
     for case in cases:
         file = folder / case.name / _FRONT
@@ -322,7 +322,7 @@ def line(row: dict) -> str:
 
 
 def _tables(out: Path, summary: dict, mark: str) -> str:
-    """Tables and front.png."""
+    """All tables of a study as text; draws front.png."""
     parts, fronts = [], {}
     for key, title in (("cases", ""), (UNLIMITED, "without limits\n")):
         rows = summary.get(key)
@@ -382,7 +382,7 @@ def paper_cost(row: dict) -> float:
 
 
 def certainty_table(rows: list[dict]) -> str:
-    """C to beat, optimality, and the design judged more strictly.
+    """Table of each c beside the paper's, and how certain it is.
 
     Columns: c and the paper's rescaled; IPOPT's error and largest
     complementarity; change of c by the exact law from a cold start; change
@@ -418,7 +418,7 @@ def _number(value, form: str) -> str:
 
 
 def front_table(points: list[dict]) -> str:
-    """One line for every point."""
+    """Table of a front, one line for each point."""
     lines = [
         f"{'case':11s} {'floor':>6s} {'c_tr':>9s} {'ratio':>6s} "
         f"{'paper':>6s} {'c_rot':>9s} {'ratio':>6s} {'error':>8s}"
@@ -449,10 +449,10 @@ def draw_front(
 
 
 def report(out: Path, designs: list[StoredDesign]) -> str:
-    """soles.png, stiffness.png, histories.png, finite_strain.*, report.html.
+    """Write soles.png, stiffness.png, histories.png and report.html.
 
     Returns:
-        The finite-strain table, empty where no design has one.
+        The finite-strain table, also in finite_strain.*; "" if none has one.
     """
     # matplotlib takes half a second to load.
     from drake_exo.soles import pictures
@@ -463,7 +463,7 @@ def report(out: Path, designs: list[StoredDesign]) -> str:
             {d.name: d.history() for d in designs}
         ),
     }
-    if len(designs) > 1:  # a design has a picture of its own stiffness
+    if len(designs) > 1:  # a single one has its picture already
         figures["stiffness.png"] = _stiffness(designs)
     summaries = {d.name: d.summary() for d in designs}
     found = {
@@ -491,7 +491,7 @@ padding: 0 1em}} img {{max-width: 100%}} pre {{white-space: pre-wrap}}
 
 
 def _write_page(out: Path, designs, figures, strains: str) -> None:
-    """report.html: every table and picture in one file, without network."""
+    """Write report.html: tables and pictures in one file, without network."""
 
     def picture(path: Path) -> str:
         data = base64.b64encode(path.read_bytes()).decode()
@@ -543,7 +543,7 @@ def _drawn(design: StoredDesign):
 
 
 def _stiffness(designs: list[StoredDesign]):
-    """What is drawn of their stiffness, see `pictures.stiffness_figure`."""
+    """Figure of the designs' stiffness, see `pictures.stiffness_figure`."""
     from drake_exo.soles import pictures
 
     keys = ("time_s", "sigma_max_tr_n_per_m", "sigma_min_rot_nm_per_rad")

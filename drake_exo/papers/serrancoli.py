@@ -1,8 +1,8 @@
 """Tables and figures of Serrancoli et al., from results on disk.
 
-The paper's own figures stand beside those of the virtual subject: ranges and
-bounds as they stand in the text (Results and Discussion), since its tables
-give them by trial of another subject.
+Beside the virtual subject's numbers stand the paper's: ranges and bounds from
+its text (Results and Discussion), since its tables give them for each trial of
+another subject.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from drake_exo.report.gathering import (
 
 VIRTUAL_SUBJECT = "virtual_subject"
 
-# Phase -> signal, or segment, -> text.
+# Phase -> signal or segment -> the paper's RMSD, as text.
 PAPER = {
     "A": {
         "angles_deg": "<= 0.8",
@@ -53,14 +53,14 @@ PAPER = {
 
 
 def tables(found: list[Results]) -> tuple[dict[str, list[list]], list[str]]:
-    """Tables II and III, and all that is printed.
+    """Tables II and III, and all texts to print.
 
     Args:
         found: results of calibration and prediction.
 
     Returns:
-        Name of a table -> its rows, the first of which is the header; and
-        texts, the tables among them.
+        Name of a table -> its rows, header first; and texts to print, the
+        tables among them.
     """
     predicted = _predictions(found)
     made, texts = {}, []
@@ -90,13 +90,12 @@ def _predictions(found: list[Results]) -> dict[str, Results]:
 
 
 def comparison(runs: dict[str, Results]) -> list[list]:
-    """Rows of a table over several runs, the first is the header.
+    """Rows of a table of RMSD, one for each signal, header first.
 
-    A run that does not hold says so in its header.
-
-    Mean and SD over trials of each, of a prediction the mean with nominal
-    cuffs as well; one standard deviation over the measured trials, and the
-    paper's figure for the virtual subject.
+    Columns of each run: mean and SD over trials, and for a prediction the mean
+    with nominal cuffs; a run that does not hold says so in its header. Then
+    one standard deviation of the measured trials and, for the virtual subject,
+    the paper's numbers.
     """
     every = [s for r in runs.values() for s in r.summary["rmsd"]]
     last = list(runs.values())[-1].summary
@@ -129,7 +128,7 @@ def comparison(runs: dict[str, Results]) -> list[list]:
 
 
 def _missing(runs: dict[str, Results]) -> list[str]:
-    """Trials that stand in no mean."""
+    """Lines that name trials which were not solved and are in no mean."""
     sets = []
     for label, r in runs.items():
         sets.append((label, r.summary["rmsd"], r.not_solved))
@@ -145,13 +144,13 @@ def _missing(runs: dict[str, Results]) -> list[str]:
 
 
 def _starts(runs: dict[str, Results]) -> list[str]:
-    """What stands for the chair while a predicted movement begins."""
+    """Lines that say from what the predicted movements start."""
     starts = {label: r.summary.get("starts_from") for label, r in runs.items()}
     return [f"{k}: movements start from {v}" for k, v in starts.items() if v]
 
 
 def _changes(runs: dict[str, Results]) -> list[str]:
-    """How much worse the scaled interaction predicts, force by force."""
+    """Tables of how much worse scaled cuffs predict each normal force."""
 
     def mean(run: Results, name: str) -> float | None:
         path = "interaction_n", name
@@ -178,7 +177,7 @@ def _changes(runs: dict[str, Results]) -> list[str]:
 
 
 def draw_figures(folder: Path, found: list[Results]) -> None:
-    """Figures 2 to 7 into a folder, as far as there are results."""
+    """Draw those of Figures 2 to 7 that there are results for."""
     calibrated = _calibrations(found)
     shown: list[tuple[int, Callable, dict[str, Results]]] = []
     for number, phase, draw in (
@@ -212,5 +211,5 @@ def _curves(results: dict[str, Results]):
         usual = [result.uncalibrated_trial(name) for name in trials]
         if any(usual):
             runs[f"{label} uncalibrated"] = usual
-            break  # scaled, they lie so close that they would only hide it
+            break  # scaled ones lie so close that they would only hide it
     return runs, list(trials.values())

@@ -1,8 +1,8 @@
 """Write a page that plays clips, as one HTML file that needs no network.
 
 The page is meshcat's (Drake's or the Python package's, both know the same
-commands) with the bodies in it; a script moves them. A clip holds numbers
-alone, so that a page holds each mesh once, however many clips it plays.
+commands) with the bodies in it; a script moves them. A clip holds only numbers,
+so a page holds each mesh once, however many clips it plays.
 """
 
 import base64
@@ -26,7 +26,7 @@ class Surface:
         faces: (f, 3) triangles, indices of nodes.
         places: (n, m, 3) world [m].
         values: (n, m) from 0 to 1; grey where 0.
-        copies: path -> (4, 4) matrix by which a copy is shown.
+        copies: path -> (4, 4) transform of a copy that is shown.
     """
 
     faces: np.ndarray
@@ -64,18 +64,18 @@ class Arrow:
 
 @dataclass(frozen=True)
 class Clip:
-    """One motion.
+    """One motion that a page can play.
 
     Attributes:
-        title: by which it is chosen.
+        title: its name in the list.
         group: clips of one group are listed together.
         times: (n,) increasing from 0 [s].
         bodies: path -> (n, 7) position [m] and quaternion (w, x, y, z);
-            hidden where NaN, or where a clip does not know the path.
+            hidden where NaN, or if the clip lacks the path.
         arrows: name -> (n, 6) point [m] and force [N]; hidden where NaN.
-        surfaces: path -> what deforms.
+        surfaces: path -> surface that deforms.
         note: a line of text shown with it.
-        mark: that it does not hold, and why; shown with it in red.
+        mark: text in red: that it does not hold, and why.
     """
 
     title: str
@@ -109,7 +109,7 @@ class Clip:
 
 @dataclass(frozen=True)
 class Page:
-    """What surrounds the clips.
+    """Title, camera, legend and controls around the clips.
 
     Attributes:
         title: of the page.
@@ -267,7 +267,7 @@ def _clip(clip: Clip) -> dict:
 
 
 def _surface(surface: Surface) -> dict:
-    """A surface, its places in steps of 1/65535 of their box."""
+    """A surface, its places rounded to 1/65535 of their bounding box."""
     low = surface.places.min(axis=(0, 1))
     span = np.maximum(np.ptp(surface.places, axis=(0, 1)), 1e-9)
     steps = np.round((surface.places - low) / span * 65535)
