@@ -14,8 +14,8 @@ from pathlib import Path
 from drake_exo import __version__
 from drake_exo.errors import InputError, first_line, was_interrupted
 
-# Each has a module here with `add_arguments(parser)` and `run(args)`; commands
-# of a command set their own `run`. It is imported on demand: `drake-exo sole`
+# Each has a module here with `add_arguments(parser)` and `run(args)`;
+# subcommands set their own `run`. It is imported on demand: `drake-exo sole`
 # must not load the exoskeleton half, nor `drake-exo --help` either of them.
 _COMMANDS = {
     "inspect": "list what recorded files hold",
@@ -36,7 +36,7 @@ _COMMANDS = {
     "view": "replay results in a browser, or save the page",
 }
 
-# What a full or read-only disk answers; anything else is a mistake of ours.
+# Errors of a full or read-only disk; any other is a bug of this program.
 _NO_ROOM = (
     errno.ENOSPC,
     errno.EDQUOT,
@@ -48,7 +48,7 @@ _NO_ROOM = (
 )
 
 
-# Of a path that cannot be one: too long a name, a link to itself.
+# Errors of an impossible path: too long a name, a link to itself.
 _NO_PATH = errno.ENAMETOOLONG, errno.ELOOP
 
 
@@ -80,7 +80,7 @@ def above_zero(text: str) -> float:
 
 
 def add_study(parser: argparse.ArgumentParser, **options) -> None:
-    """Add what every command on a study reads."""
+    """Add the study file and --data-root, which every command on one takes."""
     options = {"help": "study file that describes the recordings", **options}
     parser.add_argument("study", type=Path, metavar="STUDY.yaml", **options)
     parser.add_argument(
@@ -138,7 +138,7 @@ def parse(argv: list[str]) -> argparse.Namespace:
 
 
 def _run(parsed: Callable[[], argparse.Namespace]) -> int:
-    """Run a command; say in a sentence what a user can act upon."""
+    """Run a command; print errors that a user can act upon as a sentence."""
     args = None
     try:
         args = parsed()  # which imports the command, for a second or two

@@ -17,7 +17,7 @@ _PARSE = "drake_exo.cli:parse"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "batch",
         type=Path,

@@ -57,7 +57,7 @@ FOOT_GROUND, SUMMARY = "foot_ground", "summary.json"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "--phase",
         choices=["foot-ground", "interaction"],
@@ -102,7 +102,7 @@ def add_study_arguments(
 def run(args: argparse.Namespace) -> int:
     """Calibrate, audit, and write everything to --out."""
     study = read_study(args.study, args.data_root)
-    # Bad input ends before a folder is made.
+    # Bad input is refused before a folder is made.
     only_foot = args.phase == "foot-ground" or (
         args.phase is None and not study.model.cuffs
     )
@@ -146,7 +146,7 @@ def write_foot_ground(
     checks: Sequence[Check] = (),
     accepted: Sequence[str] = (),
 ) -> int:
-    """Phase A into a folder; returns the exit code."""
+    """Run Phase A, write it to a folder; returns the exit code."""
     of = inputs(study, "calibration", study.foot_ground)
     points = len(study.foot_ground.front_factors) if front else 0
     done = finished(out, of, points) if resume else None
@@ -165,7 +165,7 @@ def write_interaction(
     checks: Sequence[Check] = (),
     accepted: Sequence[str] = (),
 ) -> int:
-    """Phase A, unless its contact is given, then Phase B; as above."""
+    """Run Phase A, unless its contact is given, then Phase B; the exit code."""
     of = inputs(study, "calibration", study.interaction, contact)
     done = finished(out, of) if resume else None
     if done is not None:
@@ -180,7 +180,7 @@ def write_interaction(
         again = "run the command again"
         more["foot_ground"] = read_json(folder / SUMMARY, again)
         contact = read_calibration(folder).contact
-        # What the first phase does not hold, the second one does not.
+        # A check that fails in Phase A fails for Phase B as well.
         found = stored(more["foot_ground"]).checks
         checks = [
             *checks,
@@ -194,15 +194,15 @@ def write_interaction(
 
 
 def inputs(study: Study, use: Use, settings, contact=None, **more) -> str:
-    """Digits that tell apart what results are made of.
+    """Hash of all that results are computed from.
 
     Args:
         study: with its name and its trials of the use.
         use: calibration or prediction.
-        settings: of the phase; those of Phase A count as well, and of a
-            prediction those of Phase B, which find its clocks, and springs
-            of the device.
-        contact: that was known before.
+        settings: of the phase; those of Phase A count as well, and for a
+            prediction those of Phase B, which find its clocks, and the
+            device's springs.
+        contact: calibrated before, if any.
         more: whatever else counts, by name.
     """
     trials = [replace(t, provenance={}) for t in study.trials(use)]
@@ -216,15 +216,15 @@ def inputs(study: Study, use: Use, settings, contact=None, **more) -> str:
 
 
 def finished(folder: Path, of: str, points: int = 0) -> Verdict | None:
-    """The verdict of a run that solved its problem, if there was one.
+    """Verdict of a finished run in a folder; None if there is more to do.
 
     Args:
         folder: of the run.
-        of: what it has to be made of, see `inputs`.
-        points: that its front has, if it drew one.
+        of: hash of what it must be computed from, see `inputs`.
+        points: number of points of its front, if it draws one.
 
     Raises:
-        InputError: it is made of something else.
+        InputError: it was computed from something else.
     """
     path = folder / SUMMARY
     if not path.is_file():
@@ -253,7 +253,7 @@ def _write(
     checks: Sequence[Check],
     accepted: Sequence[str],
 ) -> int:
-    """Write what a phase found and say it; returns the exit code."""
+    """Write and print what a phase found; returns the exit code."""
     verdict = found.verdict(checks, accepted)
     summary, stopped = found.write(out, verdict) | more, False
     print(parameters_table(summary["parameters"]))
@@ -276,7 +276,7 @@ def _write(
 
 
 def told_stopped(stopped: bool, count: int) -> str:
-    """A line below the table of a front that has so many points, if so."""
+    """Line to add to a front's table if the user stopped it, else ""."""
     return f"\nstopped by the user after {count} points" if stopped else ""
 
 

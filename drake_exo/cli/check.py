@@ -22,7 +22,7 @@ from drake_exo.study import RecordedStudy, read_study
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     add_study(parser)
     add_out(parser, help="write report, pictures and trials to this folder")
     add_accept(parser)

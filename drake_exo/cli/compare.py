@@ -19,7 +19,7 @@ from drake_exo.report.gathering import compare
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "results",
         type=Path,

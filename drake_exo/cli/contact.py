@@ -9,7 +9,7 @@ from drake_exo.report.figures import ContactCurves, write_figures
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     add_out(parser, required=True, help="folder for the figures")
     for name, item in ContactCurves.__dataclass_fields__.items():
         unit = item.metadata["unit"]

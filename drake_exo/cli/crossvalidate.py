@@ -35,12 +35,12 @@ from drake_exo.study import (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     add_study_arguments(parser, resume=False)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Calibrate and predict fold by fold; summary.json holds what is done."""
+    """Calibrate and predict fold by fold; each updates summary.json."""
     study = read_study(args.study, args.data_root)
     check_has_cuffs(study.model)
     trials = study.trials("calibration")
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     check_is_measured(trials)
     told = [t.name for t in trials if has_encoders(t)]
     with_mats = Counter(cuff for t in trials for cuff in t.cuffs)
-    # Without it nothing could be calibrated.
+    # The only trial with encoders stays: without it nothing is calibrated.
     trials = tuple(t for t in trials if [t.name] != told)
     if not any(t.cuffs for t in trials):
         raise InputError(
@@ -89,11 +89,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def fold(study: Study, name: str) -> dict:
-    """One trial left out.
+    """Calibrate without one trial, then predict it.
 
     Returns:
         trial; success of all solves; stopped, whether by the user; rmsd and
-        rmsd_uncalibrated as `scores.rmsd`, None where a solve failed.
+        rmsd_uncalibrated as of `audit.rmsd`, None if a solve failed.
     """
     trials = study.trials("calibration")
     (left,) = (t for t in trials if t.name == name)
@@ -117,7 +117,7 @@ def fold(study: Study, name: str) -> dict:
         found = predict(study, left, contact)
         if not found.success:
             return failed(found.solution)
-        # Nominal cuffs tell no clock: of both on the one that was found.
+        # Nominal cuffs cannot tell a clock: both use the one found.
         measured = found.timed(measured)
         row[key] = found.rmsd(measured)
     return row | {"success": True, "stopped": False}
@@ -128,7 +128,7 @@ def verdict(folds: list[dict], alone: Sequence[str] = ()) -> dict:
 
     Args:
         folds: as `fold` gives them.
-        alone: cuffs that one trial alone has mats of.
+        alone: cuffs that only one trial has mats on.
 
     Returns:
         helps, ratio of mean normal forces' RMSD (calibrated over not; both

@@ -37,7 +37,7 @@ _SEED = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     add_out(parser, required=True)
 
 
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _steps(out: Path) -> int:
-    """The demo's parts, each in its own folder of results."""
+    """Run the demo's parts, each into a folder of its own; the exit code."""
 
     def part(name: str, title: str) -> OutputFolder:
         print(f"== {title}", flush=True)
@@ -73,7 +73,7 @@ def _steps(out: Path) -> int:
             contact, made_of = study.calibrated(folder, ["all"])
             predicted, checks = ahead.value()
         clocks = _timed(predicted, contact, beside)
-        # Both only read what was calibrated: a core for each.
+        # C1 and C2 both only read the calibration: a core for each.
         how = {
             "study": predicted,
             "contact": contact,
@@ -103,7 +103,7 @@ def _steps(out: Path) -> int:
 
 
 def to_predict(study: Study) -> tuple[Study, list[Check]]:
-    """The study with its trials for prediction alone, and their checks."""
+    """The study with only its trials for prediction, and their checks."""
     checks = list(study.gate("prediction"))
     return study.alone(study.trials("prediction")), checks
 
@@ -111,7 +111,7 @@ def to_predict(study: Study) -> tuple[Study, list[Check]]:
 def _timed(
     study: Study, contact: ContactModel, beside: Callable[..., Beside]
 ) -> list[Clock]:
-    """Clocks of the recordings, whatever cuffs a prediction takes."""
+    """Clocks of the prediction trials by calibrated cuffs, in two processes."""
     trials = study.trials("prediction")
     half, other = trials[::2], trials[1::2]
     those = beside(
@@ -127,7 +127,7 @@ def predict_stiff(
     checks: list[Check],
     clocks: list[Clock],
 ) -> tuple[int, str]:
-    """Phase C2 into a folder; its exit code, and what it says."""
+    """Write Phase C2 to a folder; its exit code, and what it printed."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
         code = write_predictions(

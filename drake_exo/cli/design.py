@@ -35,7 +35,7 @@ from drake_exo.study import (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     add_study(parser, nargs="+")
     parser.add_argument(
         "--calibration",
@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
             f"{len(args.calibration)} times --calibration for {len(studies)} "
             "studies; give one for each, in the same order"
         )
-    # Bad input ends before a folder is made.
+    # Bad input is refused before a folder is made.
     use = "prediction" if args.calibration else None
     checks: list[Check] = []
     contacts: list[ContactModel | Calibration] = []
@@ -197,7 +197,7 @@ def _told(row: dict) -> str:
 
 
 def _write_front(made: Designed, out: Path) -> bool:
-    """Whether it went to its end."""
+    """Compute, print and write the front; whether all its points are done."""
     rows = front(made)
     whole = len(rows) == len(SHARES)
     write_json(out / "front.json", rows)

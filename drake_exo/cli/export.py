@@ -12,7 +12,7 @@ from drake_exo.cli import add_accept, add_out
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     kinds = parser.add_subparsers(dest="kind", required=True)
     opensim = kinds.add_parser(
         "opensim",

@@ -11,7 +11,7 @@ from drake_exo.files.inspection import inspect, text_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "file",
         type=Path,

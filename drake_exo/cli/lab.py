@@ -12,12 +12,12 @@ from drake_exo.virtual_laboratory.instruments import FILES
 from drake_exo.virtual_laboratory.truth import DISTURBANCES, KINDS
 from drake_exo.virtual_laboratory.two_legs import MOVEMENTS, write_movements
 
-# A core for each; more memory is not worth it.
+# One for each core; more than two are not worth their memory.
 PROCESSES = min(os.cpu_count() or 1, 2)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.description = "Simulate a measurement campaign with known truth."
     parser.epilog = "disturbances:\n" + "".join(
@@ -144,7 +144,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace, shipped: bool) -> None:
-    """Refuse options that are of the other kind of person, or of none."""
+    """Refuse options that do not fit the kind of person, or each other."""
     if not shipped:
         if args.full or args.design is not None or args.truth is not None:
             raise InputError(

@@ -59,7 +59,7 @@ from drake_exo.study import (
     write_inputs,
 )
 
-# Where the example stood before; its name may be in somebody's scripts.
+# Former name of the example, which may be in somebody's scripts.
 _FORMER = {
     "drake_exo.forces.assist_controller:AssistController": (
         "drake_exo:AssistController"
@@ -68,7 +68,7 @@ _FORMER = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     add_study_arguments(parser)
     parser.add_argument(
         "--calibration",
@@ -123,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
     study = read_study(args.study, args.data_root)
     study.prediction = replace(study.prediction, **changes)
     reads = [*study.reads, args.calibration, args.design]
-    # Bad input ends before a folder is made, or hours of work.
+    # Bad input is refused before a folder is made, or hours of work.
     worn = None if args.design is None else read_design(args.design)
     contact, checks = study.calibrated(
         args.calibration, args.accept, study.trials("prediction")
@@ -131,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
     checks += study.gate("prediction", args.accept)
     clocks = usual = None
     if worn is not None:
-        # Of the cuffs that were worn.
+        # By the cuffs that were worn, not the design's.
         clocks = find_clocks(study, study.trials("prediction"), contact)
         usual = worn.contact(uncalibrated(study.model, contact))
         study, contact = on_design(study, contact, worn)
@@ -169,10 +169,10 @@ def write_predictions(
     clocks: Sequence[Clock] | None = None,
     usual: ContactModel | None = None,
 ) -> int:
-    """Every trial for prediction into a folder; returns the exit code.
+    """Predict every trial for prediction to a folder; returns the exit code.
 
-    `usual` is what to compare with, by default nominal cuffs; given of a
-    design, in whose device nothing was measured.
+    `usual` is the contact to compare with, by default nominal cuffs. It is
+    given with a design, in whose device nothing was measured.
     """
     trials = study.trials("prediction")
     of = inputs(
@@ -210,7 +210,7 @@ def write_predictions(
             if prediction.success:
                 audited = [prediction.audit()]
                 if study.model.cuffs:
-                    # Nominal cuffs do not tell a clock.
+                    # Nominal cuffs cannot tell a clock.
                     beside = predict(
                         study, trial, usual, near=prediction, clocks=(), **how
                     )
@@ -224,7 +224,7 @@ def write_predictions(
         except InputError as error:
             if not found:
                 raise  # what a problem refuses leaves no folder behind
-            # As above: hours of work come before it.
+            # As above: the hours of work before it are kept.
             refused = error
             said = str(error)
             checks.append(Check(SOLVED, False, where=trial.name, sentence=said))
@@ -283,7 +283,7 @@ def write_predictions(
 
 
 def load_controller(name: str | None) -> System | None:
-    """Make the controller that MODULE:NAME names; None for none.
+    """Make the controller that MODULE:NAME names; None if `name` is None.
 
     Modules of the working folder are found as well.
 

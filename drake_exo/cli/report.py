@@ -17,7 +17,7 @@ from drake_exo.report.gathering import Results, check_one_study, gather
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "results",
         type=Path,
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def write_report(folder: Path, found: list[Results]) -> None:
-    """Tables and figures into a folder; prints the tables."""
+    """Write tables and figures to a folder; prints the tables."""
     made, texts = tables(found)
     marks = [f"{r.folder.name}: {r.mark}" for r in found if r.mark]
     texts = [*marks, *texts]

@@ -21,7 +21,7 @@ from drake_exo.study import calibrate_foot_ground, read_study
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     add_study_arguments(parser, resume=False)
 
 

@@ -29,7 +29,7 @@ from drake_exo.soles.optimize.files import (
 
 
 def add_arguments(sole: ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     jobs = sole.add_subparsers(dest="job", required=True)
 
     def job(name: str, run, help: str):
@@ -101,7 +101,7 @@ def add_arguments(sole: ArgumentParser) -> None:
 
 
 def _add_case(parser) -> None:
-    """A case file, what it names, and where results go."""
+    """Add the case file, its --mesh and --data-root, and --out."""
     what = "case file: sole, material, load and, where given, limits"
     parser.add_argument("case", type=Path, metavar="CASE.yaml", help=what)
     _add_files(parser)
@@ -109,7 +109,7 @@ def _add_case(parser) -> None:
 
 
 def _add_files(parser) -> None:
-    """Where a case finds its mesh and its files."""
+    """Add --mesh and --data-root: where a case finds its files."""
     parser.add_argument(
         "--mesh", type=Path, help="mesh file to use instead of the case's"
     )
@@ -122,14 +122,14 @@ def _add_files(parser) -> None:
 
 
 def _add_source(parser, help: str) -> None:
-    """A folder that an optimisation left, and where what follows goes."""
+    """Add the folder of an optimisation, and --out."""
     parser.add_argument("source", type=Path, metavar="DIR", help=help)
     again = "folder for the results (default: DIR)"
     add_out(parser, "replace earlier results", help=again)
 
 
 def _add_limits(parser, choices) -> None:
-    """Whether stability, tilt and strain are limited."""
+    """Add --limits: whether stability, tilt and strain are limited."""
     parser.add_argument(
         "--limits",
         choices=choices,
@@ -148,7 +148,7 @@ def _add_jobs(parser, what: str) -> None:
 
 
 def _add_iterations(parser) -> None:
-    """How long the last stage may go on."""
+    """Add --iterations: how long the last stage may go on."""
     parser.add_argument(
         "--iterations",
         type=count,
@@ -159,10 +159,10 @@ def _add_iterations(parser) -> None:
 
 
 def _read_case(args, path: Path) -> soles.Case:
-    """A case file; a study of recordings is looked for beside it."""
+    """Read a case file; a study of recordings is looked for beside it."""
 
     def read_step(study: str, *which):
-        # The laboratory's half is loaded where a case asks for it alone.
+        # The exoskeleton half is loaded only if a case asks for it.
         from drake_exo.study import read_study
 
         return read_study(path.parent / study, args.data_root).step(*which)
@@ -191,7 +191,7 @@ def _out_or_source(args, name: str) -> OutputFolder:
 
 
 def _out_of(args, case: soles.Case) -> OutputFolder:
-    """The folder --out, in which nothing of the case may lie."""
+    """The folder --out, which must hold none of the case's files."""
     root = args.data_root or args.case.parent
     named = (root / file for file in case.settings.files)
     resumed = getattr(args, "resume", None)
@@ -226,7 +226,7 @@ def _optimize(args) -> int:
     """Optimise one case; the exit code of its verdict."""
     case = _case(args)
     say = _progress(case.name).update
-    # Refused before there is a folder.
+    # A bad one is refused before a folder is made.
     resume = read_checkpoint(args.resume) if args.resume else None
     with _out_of(args, case) as out:
         try:
@@ -246,7 +246,7 @@ def _optimize(args) -> int:
 
 
 def _study(args) -> int:
-    """The paper's five cases; the exit code of all verdicts together."""
+    """Optimise the paper's five cases; exit code of all verdicts together."""
     study = paper.Study.read(
         args.data_root, args.mesh, args.coarse, args.limits, args.iterations
     )
@@ -261,7 +261,7 @@ def _study(args) -> int:
 
 
 def _front(args) -> int:
-    """The front of one case; 0 where every point simulates."""
+    """Compute the front of one case; exit code 0 if every point simulates."""
     case = _case(args)
     folder = _out_of(args, case)
     with folder as out:
@@ -307,7 +307,7 @@ def _point_checks(point: dict) -> list[Check]:
 
 
 def _strain(args) -> int:
-    """Write and print the table; 1 where some sample has no equilibrium."""
+    """Write and print the table; 1 if some sample has no equilibrium."""
     if args.source.is_dir():
         if args.mesh or args.data_root:
             raise InputError(
@@ -331,7 +331,7 @@ def _strain(args) -> int:
 
 
 def _reduce(args) -> int:
-    """Fit, print and write; 1 where the goals for the fit are missed."""
+    """Fit spheres, print and write; 1 if the fit misses its goals."""
     # SciPy's optimiser takes a moment to load.
     from drake_exo.contact.reduction import SoleLaw, reduce_sole
 
@@ -369,7 +369,7 @@ def _reduce(args) -> int:
 
 
 def _note(out: Path, found: dict[str, dict]) -> None:
-    """Put the figures into the summary, new or already there."""
+    """Add finite-strain numbers to summary.json, made if it is not there."""
     key = "finite_strain"
     summary = read_summary(out) if (out / SUMMARY).is_file() else {}
     if "cases" in summary:
@@ -383,7 +383,7 @@ def _note(out: Path, found: dict[str, dict]) -> None:
 
 
 def _report(args) -> int:
-    """Draw and print."""
+    """Draw pictures and report.html again, and print the table."""
     designs = soles.find_designs(args.source)
     with _out_or_source(args, paper.SOLES) as out:
         text = paper.report(out, designs)

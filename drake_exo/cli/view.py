@@ -25,7 +25,7 @@ REPLAY = "replay.html"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "results", type=Path, metavar="DIR", help="folder with results"
     )
@@ -77,7 +77,7 @@ def write_view(results: Path, path: Path, accept: Sequence[str] = ()) -> None:
         raise InputError(
             f"{results}: is not a folder; give the --out folder of a command"
         )
-    # A half never loads the other one.
+    # Neither half of the package loads the other one.
     if _holds_soles(results):
         from drake_exo.soles.animation import replay_soles as replay
     else:
@@ -94,7 +94,7 @@ def write_view(results: Path, path: Path, accept: Sequence[str] = ()) -> None:
 
 
 def _holds_soles(results: Path) -> bool:
-    """Whether the results under a folder are of soles, or of movements."""
+    """Whether the results under a folder are of soles, not of movements."""
     halves: dict[bool, Path] = {}
     for path in summaries(results):
         found = read_json(path, "run the command that wrote it again")
