@@ -1,4 +1,4 @@
-"""Lets `python -m benchmarks.NAME` find what lies beside the script."""
+"""Lets `python -m benchmarks.NAME` import modules beside the script."""
 
 import sys
 

@@ -1,12 +1,11 @@
-"""Every benchmark.
+"""Runs every benchmark.
 
     python benchmarks/all.py [--quick] [--json] [--data-root DIR]
 
-One after the other; with --quick each in a small size and two at a time, to
-see that they run, and roughly how fast. Prints what each took; with --json also
-what it says. scale.py is left out
-where dask.distributed is not installed, design.py always: it needs a study with
-its calibration.
+They run one after the other; with --quick each in a small size and two at a
+time, to see that they run, and roughly how fast. Prints the time of each, with
+--json also its results. scale.py is left out if dask.distributed is not
+installed, design.py always: it needs a study with its calibration.
 """
 
 import argparse
@@ -42,8 +41,8 @@ QUICK = {
         *("--iterations", "4", "--kills", "1"),
     ),
 }
-# Those that simulate campaigns, which they share: the second reads them. They
-# take longest.
+# They share simulated campaigns: the first writes, the second reads them. Both
+# together take longest, so they begin first.
 WITH_CAMPAIGNS = ("seeds.py", "plausibility.py")
 WITH_DATA = (
     "legs.py",
@@ -53,7 +52,7 @@ WITH_DATA = (
 
 
 def run(script: str, quick: bool, data_root: Path, campaigns: str) -> dict:
-    """Seconds, exit code, and what the script says as JSON."""
+    """Run a script: seconds, exit code, and its results (JSON) or error."""
     options = [*(QUICK[script] if quick else ()), "--json"]
     if script in WITH_DATA:
         options += ["--data-root", str(data_root)]

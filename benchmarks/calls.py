@@ -1,4 +1,4 @@
-"""One function called many times, by processes of the package."""
+"""Calls one function many times, in processes of the package."""
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -21,21 +21,21 @@ def run_calls(
     title: str = "",
     tell: Callable[[Any], object] | None = None,
 ) -> list:
-    """What a function returns, for each set of arguments.
+    """Call a function once for each set of arguments.
 
     Args:
         function: of a module, or of the script that runs; what it prints is
             lost.
         calls: arguments by name.
-        workers: processes at once.
+        workers: number of processes.
         title: begins lines of progress on standard error.
-        tell: told each value as it comes.
+        tell: called with each value as it comes.
 
     Returns:
         The values, in the order of `calls`.
 
     Raises:
-        RuntimeError: a call failed; those that wait are not made.
+        RuntimeError: a call failed; those not begun are not made.
     """
     name = _name(function)
     jobs = [Job(f"{k}/{title}", name, call) for k, call in enumerate(calls)]
@@ -54,7 +54,7 @@ def run_calls(
 
 
 def _name(function: Callable) -> str:
-    """As a process imports it; a script goes by another name."""
+    """Name by which a process imports it, where a script is not __main__."""
     module = function.__module__
     if module == "__main__":
         main = sys.modules[module]

@@ -2,9 +2,9 @@
 
     python benchmarks/design.py STUDY.yaml CALIBRATION [--starts N] [--json]
 
-Prints a table of programs of 3, 6 and 12 movements (one to three wearers, the
+Prints a table of problems with 3, 6 and 12 movements (one to three wearers, the
 second and third drawn from the calibration's posterior), and what N random
-starts within the bounds lead to. Times are of a quiet machine only if it is.
+starts within the bounds lead to. Times mean little unless the machine is idle.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from drake_exo.report.gathering import format_table
 
 # Movements -> trials, wearers.
 SIZES = {3: (3, 1), 6: (6, 1), 12: (4, 3)}
-# Optima count as one within this of the best cost.
+# Optima whose cost is within this share of the best count as the same.
 _ONE = 0.01
 
 
@@ -89,7 +89,7 @@ def main() -> None:
 
 
 def random_starts(people, today, found, settings, count: int) -> dict:
-    """Where the optimiser ends from values drawn within the bounds."""
+    """Optima that starts drawn within the bounds lead to."""
     problem = DesignProblem(people, settings, today=today)
     rng = np.random.default_rng(0)
     costs, start = [], time.process_time()

@@ -1,7 +1,7 @@
 """Does the 95 % interval of a calibrated parameter hold the truth?
 
-Phase B on made-up data (truth = model) with noise alone, many seeds. Noise is
-made by filtering white noise; the intervals come from the optimum's conditions.
+Phase B on synthetic data whose only error is noise (filtered white noise), for
+many seeds; the intervals come from the optimality conditions.
 
     python benchmarks/interval_coverage.py --seeds 200 [--json] [--workers N]
 """
@@ -36,7 +36,7 @@ def _made(nodes_per_second: float):
 
 
 def solve(nodes_per_second: float, seed: int) -> tuple | None:
-    """Errors, half widths and what is identifiable; None if it failed."""
+    """Each parameter's error, half width, identifiability; None if failed."""
     made, settings, truth = _made(nodes_per_second)
     trials = [
         noisy(trial, 1000 * seed + k, INSTRUMENT_NOISE)
@@ -64,7 +64,7 @@ def coverage(
     failed = len(found) - len(rows)
     *_, truth = _made(nodes_per_second)
     error, half, identifiable = (np.array(x) for x in zip(*rows, strict=True))
-    # A parameter counts if most seeds call it identifiable.
+    # A parameter counts as identifiable if most seeds call it so.
     return [
         {
             "parameter": name,

@@ -2,10 +2,10 @@
 
     python benchmarks/legs.py [--json] [--data-root DIR] [--grids R ...]
 
-The first squat of tests/studies/opencap_squats1.yaml, as one leg (6
-coordinates, 2 spheres) and as two (9 and twice 3 spheres), on grids of 50 to
-400 nodes per second, each from the data. Prints CPU seconds an iteration, and
-the power of the number of nodes with which they grow.
+The first squat of tests/studies/opencap_squats1.yaml, with one leg (6
+coordinates, 2 spheres) and with two (9 coordinates, 3 spheres each), on grids
+of 50 to 400 nodes per second, each started from the data. Prints CPU seconds
+per iteration, and the power of the number of nodes with which they grow.
 """
 
 import argparse
@@ -43,7 +43,7 @@ def study_of(legs: int, data_root: Path):
 
 
 def measured(study, nodes_per_second: float) -> dict:
-    """One solve."""
+    """Solve Phase A once; its row of the table."""
     settings = study.foot_ground
     solver = replace(settings.solver, nodes_per_second=nodes_per_second)
     problem = FootGroundCalibration(

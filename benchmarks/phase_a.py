@@ -97,7 +97,7 @@ def run_row(data: Path, trials: int, nodes: float, transcription: str):
 
 
 def _peak_memory_mb() -> float:
-    """Of this process alone: its ru_maxrss begins with its parent's."""
+    """Peak of this process alone: its ru_maxrss begins with its parent's."""
     lines = Path("/proc/self/status").read_text().splitlines()
     (peak,) = [line for line in lines if line.startswith("VmHWM:")]
     return int(peak.split()[1]) / 1024.0
@@ -124,7 +124,7 @@ def _measure(data, row, repeat):
 
 
 def main() -> None:
-    """See the module."""
+    """Print the table, or one row's figures in a process of its own."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--repeat", type=int, default=1)

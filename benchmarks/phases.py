@@ -2,9 +2,9 @@
 
     python benchmarks/phases.py [--json] [--nodes-per-second R] [--starts N]
 
-Made-up data (truth = model) with noise, full paper size by default: three
-trials of 1.5 s at 200 nodes a second. Prints one row for each problem; for
-random starts how many of N reach the best objective within 1e-4 of it.
+Synthetic data (truth = model) with noise, by default of the paper's size: three
+trials of 1.5 s at 200 nodes per second. Prints one row for each problem; for
+random starts how many of N reach the best objective (within 1e-4 of it).
 """
 
 import argparse
@@ -30,7 +30,7 @@ _TOLERANCE = 1e-4
 
 
 def row(name: str, problem, guess=None, trials: int = 1) -> dict:
-    """Solve once."""
+    """Solve a problem once; its row of the table."""
     result = problem.solve(guess)
     solution = result.solution
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
@@ -51,12 +51,12 @@ def row(name: str, problem, guess=None, trials: int = 1) -> dict:
 
 
 def measured(made: RisesInDevice):
-    """The exact trials with instruments' noise."""
+    """The exact trials, with noise of instruments added."""
     return [noisy(t, k, INSTRUMENT_NOISE) for k, t in enumerate(made.trials)]
 
 
 def times(made: RisesInDevice) -> list[dict]:
-    """B, then C1 from a line, from data, with other stiffness, for comfort."""
+    """Rows of B, of C1 from a line and from data, of C2, and of comfort."""
     trials = measured(made)
     solver = Solver(made.nodes_per_second)
     settings = made.settings(noise=INSTRUMENT_NOISE, solver=solver)

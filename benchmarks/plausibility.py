@@ -1,10 +1,10 @@
-"""How many mistakes of a laboratory the gate of plausibility catches.
+"""How many mistakes of a laboratory the plausibility checks catch.
 
 For each seed a campaign of the virtual laboratory is judged as it is (all nine
 trials: every failing check is a false alarm), and then once with each of the
 mistakes below, planted in its study file or its files (the three trials for
-calibration). Caught is what ends with a sentence (exit code 2) or a failing
-check (exit code 3); named, what says the expected one of them.
+calibration). A mistake is caught if an error message (exit code 2) or a failing
+check (exit code 3) ends the command, and named if it is the expected one.
 
     python benchmarks/plausibility.py --seeds 1:6 --truth near wide
         [--data DIR] [--mistakes NAME ...] [--json]
@@ -50,13 +50,13 @@ LEFT, RIGHT, CHAIR = 1, 2, 3
 
 @dataclass
 class Plant:
-    """A campaign in which something is to go wrong.
+    """A campaign in which a mistake is planted.
 
     Attributes:
         campaign: folder of its files, which stay as they are.
-        scratch: folder of the changed ones.
-        study: content of the study file.
-        seed: tells which joint is hit.
+        scratch: folder of the changed files.
+        study: contents of the study file.
+        seed: chooses the joint with the mistake.
     """
 
     campaign: Path
@@ -66,12 +66,12 @@ class Plant:
 
     @property
     def joint(self) -> str:
-        """One of the device's."""
+        """The device's joint with the mistake."""
         return f"exo_{JOINTS[self.seed % len(JOINTS)]}"
 
     @property
     def trial(self) -> dict:
-        """The one in which a file goes wrong."""
+        """The trial whose file has the mistake."""
         return self.study["trials"][1 % len(self.study["trials"])]
 
     def alone(self) -> None:
@@ -96,10 +96,10 @@ class Plant:
         change: Callable[[np.ndarray, PlateRecording], PlateRecording],
         until_s: float = np.inf,
     ) -> None:
-        """Write the plates of the trial anew, as a .mot file.
+        """Rewrite the force plates of the trial, as a .mot file.
 
         Args:
-            change: of time and a plate to another plate.
+            change: makes another plate of time and a plate.
             until_s: where the file ends.
         """
         self.alone()
@@ -122,7 +122,7 @@ class Plant:
         self.trial["forces"] = str(path)
 
     def markers(self, change: Callable[[MarkerData], MarkerData]) -> None:
-        """Likewise the markers, as a .trc file."""
+        """Rewrite the markers of the trial, as a .trc file."""
         self.alone()
         data = recording.read_c3d(self.campaign / self.trial["markers"]).markers
         path = self.scratch / f"{self.trial['name']}.trc"
@@ -209,7 +209,7 @@ def force_files(p: Plant) -> None:
 def encoder_stranger(p: Plant) -> None:
     """A trial has the encoders of one that is not in the study.
 
-    Of the other passive trials there is none left: the two go together.
+    No other trial without assistance is left to tell them apart.
     """
     first, second, third = p.study["trials"][:3]
     second["encoders"] = third["encoders"]
@@ -241,7 +241,7 @@ def forces_end(p: Plant) -> None:
 
 
 def forces_end_early(p: Plant) -> None:
-    """Likewise, where the study says the part that is used."""
+    """The same, where the study gives the part that is used."""
     until = 0.5 * (p.trial["start_s"] + p.trial["end_s"])
     p.forces(lambda _, x: x, until_s=until)
 
@@ -348,13 +348,13 @@ def marker_off(p: Plant) -> None:
 
 
 def unloaded(p: Plant) -> None:
-    """The chair's plate, which bears nothing, named as that of both feet."""
+    """The chair's plate, which is unloaded, is named as that of both feet."""
     p.alone()
     p.trial["plates"] = {"both": CHAIR}
 
 
 def standing_unloaded(p: Plant) -> None:
-    """Likewise in standing."""
+    """The same in the standing trial."""
     p.study["standing"]["plates"] = {"both": CHAIR}
 
 
@@ -363,8 +363,8 @@ def millimetres(p: Plant) -> None:
     p.markers(lambda data: replace(data, positions=1e3 * data.positions))
 
 
-# Mistake -> what should be said of it: one of the checks' names, or "input"
-# for a sentence that ends the command.
+# Mistake -> names of checks of which one should fail, or "input" for an error
+# that ends the command.
 MISTAKES: dict[Callable[[Plant], None], tuple[str, ...]] = {
     marker_axes: ("knee_range", "input"),
     force_axes: ("plate_sides", "cop_across", "cop_along"),
@@ -402,7 +402,7 @@ MISTAKES: dict[Callable[[Plant], None], tuple[str, ...]] = {
 
 
 def judge(study: dict, folder: Path, root: Path) -> dict[str, str]:
-    """Names of what fails, each with its first sentence."""
+    """Failing check -> its first sentence; "input" for an error message."""
     path = folder / "study.yaml"
     path.write_text(yaml.safe_dump(study, sort_keys=False), encoding="utf-8")
     try:
@@ -453,7 +453,7 @@ def summary(rows: list[dict], mistakes) -> dict:
 
 
 def text_of(kind: str, found: dict) -> str:
-    """The table of a kind of truth."""
+    """The table of one kind of truth, as text."""
     n = found["campaigns"]
     lines = [
         f"{kind}: {n} campaigns, false alarms in "

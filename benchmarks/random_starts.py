@@ -1,4 +1,4 @@
-"""From random starts to one optimum: how many calibrations agree.
+"""How many calibrations from random starts agree on one optimum.
 
     python benchmarks/random_starts.py [--starts N] [--json] [--workers N]
                                        [--exact] [--nodes-per-second R]
@@ -9,11 +9,11 @@ contact are calibrated from starts drawn uniformly inside the parameters'
 bounds. Prints each start's objective, iterations and time, how many reach the
 optimum that most reach (objective within 1e-4), and how many a better one.
 With --exact the data hold no noise and the regularisers are switched off, so
-that the optimum is the truth. With --walk, Phase A of
-tests/studies/opencap_walking.yaml with recordings in DATA: joints are off by up
-to 5 degrees, the pelvis by up to 10 mm at either end, the spheres' stiffness
-and dissipation by up to a factor of 2 and their places by 10 mm; then feet are
-settled as always.
+that the optimum is the truth. With --walk it is Phase A of
+tests/studies/opencap_walking.yaml with recordings in DATA. Starts then have
+joints off by up to 5 degrees, the pelvis by up to 10 mm at either end, spheres'
+stiffness and dissipation by up to a factor of 2 and their places by 10 mm; the
+feet are settled as always.
 """
 
 import argparse
@@ -79,7 +79,7 @@ def _problem(nodes_per_second: float, exact: bool):
 
 
 def solve(nodes_per_second: float, exact: bool, values: list[float]) -> dict:
-    """From one start."""
+    """Calibrate from one start (parameters' values); its row."""
     problem, nominal, truth = _problem(nodes_per_second, exact)
     start = time.perf_counter()
     result = problem.solve(problem.guess(np.array(values)))
@@ -112,7 +112,7 @@ def _walk(data: str, nodes_per_second: float) -> FootGroundCalibration:
 
 
 def solve_walk(data: str, nodes_per_second: float, start: int) -> dict:
-    """From one start off the settled one; the first is that."""
+    """Calibrate the walk from a random start; start 0 is not moved."""
     problem = _walk(data, nodes_per_second)
     (trial,) = measured = problem.trials
     rng = np.random.default_rng(start)
@@ -146,7 +146,7 @@ def solve_walk(data: str, nodes_per_second: float, start: int) -> dict:
 
 
 def told(rows: list[dict], allowed: float | None = None) -> list[dict]:
-    """The rows, each with whether it is at the optimum that most are at."""
+    """Mark rows at the optimum that most reach ("same"), or a better one."""
     found = np.array([r["objective"] for r in rows if r["success"]])
     allowed = _TOLERANCE * found.min() if allowed is None else allowed
     near = np.abs(found[:, None] - found) <= allowed
@@ -168,7 +168,7 @@ def run(
     """Solve from every start.
 
     Returns:
-        Rows, each start's own, and the largest relative difference of its
+        A row for each start, with the largest relative difference of its
         parameters from the true ones.
     """
     _, nominal, _ = _problem(nodes_per_second, exact)
@@ -185,7 +185,7 @@ def run(
 
 
 def main() -> None:
-    """See the module."""
+    """Print a row for each start, and how many agree."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--starts", type=int, default=50)
     parser.add_argument("--nodes-per-second", type=float, default=50.0)

@@ -1,14 +1,13 @@
-"""What a batch costs beside its tasks, on a Dask scheduler of many workers.
+"""Overhead of a batch beside its tasks, on a Dask scheduler of many workers.
 
     python benchmarks/scale.py [--workers 4 16 64] [--tasks 10]
                                [--seconds 1] [--json]
 
-A scheduler in a process of its own and workers that are threads of another,
-each with some tasks that sleep: no worker computes, so that what takes longer
-than sleeping is the scheduler's, the client's and the network's. Prints, for
-each number of workers, tasks a second, the share of the time that is sleep,
-the scheduler's processor time and memory, and the bytes of a task. Needs
-dask.distributed.
+The scheduler runs in a process of its own, the workers in another. Their tasks
+only sleep, so any further time is that of scheduler, client and network.
+Prints, for each number of workers, tasks per second, the share of the time that
+is sleep, the scheduler's processor time and memory, and the bytes of a task.
+Needs dask.distributed.
 """
 
 import argparse
@@ -24,7 +23,7 @@ from pathlib import Path
 from drake_exo.jobs.engine import Cluster, Job, run_jobs
 from drake_exo.report.gathering import format_table
 
-# Many workers in one process, on one event loop: what sleeps needs no more.
+# Many workers in one process, on one event loop: enough for tasks that sleep.
 _WORKERS = """
 import asyncio, sys
 from distributed import Worker
@@ -42,7 +41,7 @@ asyncio.run(main())
 
 
 class SleepingCluster(Cluster):
-    """A cluster whose workers sleep in place of a process that works."""
+    """A cluster whose workers sleep instead of running a job's process."""
 
     def _submit(self, job: Job) -> None:
         future = self._client.submit(
@@ -60,7 +59,7 @@ def _sleep(job: Job):
 
 
 def measure(workers: int, tasks: int, seconds: float) -> dict:
-    """One row of the table."""
+    """Time a batch on so many workers: one row of the table."""
     env = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, sys.path))}
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scheduler.json"
@@ -93,7 +92,7 @@ def measure(workers: int, tasks: int, seconds: float) -> dict:
 
 
 def _timed(address, scheduler: int, workers, tasks, seconds) -> dict:
-    # As a batch's: what travels is the task's description, not its files.
+    # Like a batch's: the task's description travels, not its files.
     arguments = {
         "seconds": seconds,
         "out": "/data/study/results",

@@ -3,10 +3,10 @@
 For each seed: a campaign of the virtual laboratory, Phases A and B from its
 files, and six movements predicted with calibrated cuffs, with nominal ones and,
 with --floor, with true ones and the calibration's own errors of measurement.
-Forces are compared with the truth: normal and tangential force of each cuff,
-root mean square over time, mean of the movements, then the largest; and, as
-the paper does, normal forces with the mats. Clocks are compared with the truth,
-too, and with what the mats tell of theirs if the true force is in hand.
+Forces are compared with the truth: the RMS over time of each cuff's normal and
+tangential force, averaged over movements, of which the largest counts; and, as
+in the paper, normal forces with the mats. Clocks are compared with the truth,
+too, and with what the mats would tell of theirs if the true force were known.
 
     python benchmarks/seeds.py --seeds 1:40 [--truth wide] [--floor] [--json]
 
@@ -38,7 +38,7 @@ _LAGS = np.arange(-0.1, 0.1005, 0.001)
 
 
 def run(seed: int, kind: str, data: str | None, floor: bool) -> dict:
-    """One row of the table."""
+    """Row of one seed; simulates its campaign unless `data` holds it."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(data or scratch) / f"{kind}_{seed}"
         folder.mkdir(parents=True, exist_ok=True)
@@ -93,7 +93,7 @@ def _solve(found) -> dict:
 
 
 def _true(folder: Path, contact: dx.ContactModel) -> dx.ContactModel:
-    """True values of the cuffs in the place of calibrated ones."""
+    """The contact with the cuffs' true values; preloads are kept."""
     told = read_json(folder / "truth" / "truth.json", "")["parameters"]["cuffs"]
     bushings = {}
     for cuff, own in contact.bushings.items():
@@ -108,8 +108,8 @@ def _true(folder: Path, contact: dx.ContactModel) -> dx.ContactModel:
 def _intervals(cuffs, true: dx.ContactModel) -> list[dict]:
     """Error and half 95 % interval of each free parameter with a true one.
 
-    Left out are parameters at a bound, of which no interval is told, and slip,
-    for which the laboratory has another law.
+    Left out are parameters at a bound, which have no interval, and slip, for
+    which the laboratory has another law.
     """
     values, found = true.values(), cuffs.uncertainty()
     mean = {p.name: p.nominal for p in cuffs.parameters}
@@ -131,7 +131,7 @@ def _intervals(cuffs, true: dx.ContactModel) -> list[dict]:
 
 
 def _errors(folder: Path, trials, found) -> dict:
-    """Of the six movements together."""
+    """Errors of the predicted movements together, against the truth."""
     good = [(t, f) for t, f in zip(trials, found, strict=True) if f.success]
     if len(good) < len(trials):
         return {"solved": len(good)}
@@ -173,9 +173,9 @@ def _errors(folder: Path, trials, found) -> dict:
 
 
 def _clocks(folder: Path, trials, found) -> list[dict]:
-    """How far off each clock of device and mats is, and how sure [s].
+    """Error of each clock of device and mats, and its SD [s].
 
-    One that was not found counts as unsure, with the lag that was taken out.
+    A clock not found counts as unsure, with the lag that was taken out.
     """
     known = {(c.trial, c.system): c for c in found}
     rows = []
@@ -197,10 +197,10 @@ def _clocks(folder: Path, trials, found) -> list[dict]:
 
 
 def _clocks_by_force(folder: Path, trials) -> list[dict]:
-    """What the mats tell of their clocks, the true force being known [s].
+    """Errors and SD of the mats' clocks if the true force is known [s].
 
-    Share, offset and lag that fit best what they show, with priors as those of
-    the error model; what is left is weighed by its own covariance in time.
+    Share, offset and lag are fitted to what mats show, with the priors of the
+    error model; residuals are weighted by their own covariance in time.
     """
     shown, left = [], {}
     for trial in trials:
@@ -245,7 +245,7 @@ def _clocks_by_force(folder: Path, trials) -> list[dict]:
 
 
 def _weight(left: list[np.ndarray], count: int) -> np.ndarray:
-    """Inverse covariance (count, count) of stationary errors like some."""
+    """Inverse covariance (count, count) of stationary errors like `left`."""
     covariance = np.zeros(count)
     longest = min(count, *map(len, left))
     covariance[:longest] = [
@@ -257,10 +257,10 @@ def _weight(left: list[np.ndarray], count: int) -> np.ndarray:
 
 
 def _known(clocks: list[dict]) -> dict:
-    """Errors of clocks beside the standard deviations that they are given.
+    """Errors of clocks compared with their estimated standard deviations.
 
-    Of those called sure, how many are off by more than they may be, and how
-    many of them their standard deviations make expect.
+    Of those called sure also how many are off by more than 10 ms, and how many
+    of these are expected by their standard deviations.
     """
     told = [c for c in clocks if c["sd_s"]]
     if not told:
@@ -282,7 +282,7 @@ def _known(clocks: list[dict]) -> dict:
 
 
 def _share(intervals: list[dict]) -> dict:
-    """How many intervals, and the share of them that holds the truth."""
+    """Number of intervals, and the share of them that holds the truth."""
     inside = [abs(i["error"]) <= i["half_width"] for i in intervals]
     return {
         "parameters": len(inside),
@@ -375,7 +375,7 @@ def _text(row: dict) -> str:
 
 
 def main() -> None:
-    """Print a row for each seed and what they come to."""
+    """Print a row for each seed, and the summary of all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", default="1:40", help="FIRST:LAST, or a list")
     parser.add_argument("--truth", default="wide", choices=["wide", "near"])

@@ -1,4 +1,4 @@
-"""Whether an optimisation killed at random moments ends where it would have.
+"""Whether a killed and resumed optimisation ends where a whole one does.
 
 Case 1-Ref with all limits on the coarse mesh, by the command itself: once in
 one go, then killed three times (SIGKILL) at random moments and resumed each
@@ -31,7 +31,7 @@ CASE = Path(__file__).parents[1] / "tests" / "cases" / "hrp4_neoprene.yaml"
 
 
 def write_case(folder, args):
-    """The case of the tests, on a brick, with stages to an optimum."""
+    """Write the tests' case on a brick, with stages that reach an optimum."""
     case = yaml.safe_load(CASE.read_text())
     brick = {"size_m": list(SIZE), "divisions": args.divisions}
     case["mesh"] = {"brick": brick}
@@ -49,7 +49,7 @@ def write_case(folder, args):
 
 
 def start(case, out, root, resume=None):
-    """The command, running."""
+    """Start the command; returns its process."""
     command = [sys.executable, "-m", "drake_exo.cli", "sole", "optimize"]
     command += [str(case), "--data-root", str(root), "--out", str(out)]
     if resume is not None:
@@ -60,7 +60,7 @@ def start(case, out, root, resume=None):
 
 
 def finish(process, out):
-    """Its summary, once it has ended."""
+    """Wait for the command; contents of its summary.json."""
     text = process.communicate()[0]
     if process.returncode not in (0, FAILS_CODE):
         sys.exit(text)
@@ -68,7 +68,7 @@ def finish(process, out):
 
 
 def kill_later(process, out, seconds):
-    """Kill it then, or as soon after as there is something to resume."""
+    """Kill it then, or once there is a checkpoint; where that stands."""
     time.sleep(seconds)
     while not (out / "checkpoint.json").is_file():
         time.sleep(0.2)

@@ -2,8 +2,8 @@
 
 python benchmarks/sole_memory.py [--data-root DIR] [--most TETS] [--json]
 
-Each mesh in a process of its own; the step is that of `drake-exo sole study`,
-41 samples of it, the exact law, smoothed elements.
+Each mesh runs in a process of its own; the step is that of `drake-exo sole
+study` with 41 samples, the exact law and smoothed elements.
 """
 
 import argparse
@@ -27,7 +27,7 @@ KEYS = (
 
 
 def simulate(divisions, root, results) -> None:
-    """One mesh: tets, c_tr, seconds of the processor, most memory [GB]."""
+    """Simulate a step on one mesh and put its row, as in KEYS, in `results`."""
     from drake_exo.papers.de_magistris import SIZE, step_block
     from drake_exo.soles.contact.law import ContactLaw
     from drake_exo.soles.contact.newton import ContactSolver, Start

@@ -1,10 +1,10 @@
 """How far the optimum of a sole depends on where the search starts.
 
-The case 1-Ref with all limits, searched as `sole optimize` does from three
-starts, as often as asked: from the brick and two smooth random bends of it,
-each time others; with --bends from three bends, never the brick. Prints what
-each comes to, of the brick's c on the same mesh by the exact law, and how far
-the best and the worst are apart.
+The case 1-Ref with all limits is searched several times, as `sole optimize`
+does, from three starts: the brick and two smooth random bends of it, different
+ones each time; with --bends three bends. Prints each optimum's c relative to
+the brick's (same mesh, exact law), and how far the best and the worst are
+apart.
 
 python benchmarks/sole_starts.py [--json] [--data-root DIR] [--times 10]
     [--bends] [--coarse] [--iterations N] [--workers N]
@@ -36,7 +36,7 @@ def setup_of(root, coarse):
 
 
 def starts_of(number, bends):
-    """Shapes of the starts of a search, by its number, from 0."""
+    """Numbers of the start shapes (0: brick) of a search, counted from 0."""
     if bends:
         return [1 + STARTS * number + k for k in range(STARTS)]
     further = STARTS - 1
@@ -44,13 +44,13 @@ def starts_of(number, bends):
 
 
 def best_of_three(root, bends, coarse, iterations):
-    """What one search comes to.
+    """Result of one search.
 
     Args:
-        root: of the data.
-        bends: shapes of its starts.
-        coarse: two coarse stages.
-        iterations: of the last stage; None: as it says.
+        root: folder of the data.
+        bends: numbers of its start shapes.
+        coarse: whether to use two coarse stages.
+        iterations: of the last stage; None for the case's own.
     """
     setup = setup_of(root, coarse).with_iterations(iterations)
     design = optimise(setup, None, str, bends=bends)

@@ -3,9 +3,9 @@
     python benchmarks/weights.py [--json] [--factors 0.25 4]
 
 Weights are 1/sigma^2 of each signal's measurement noise. Here the sigma of one
-group of signals at a time is multiplied by a factor, on data of known truth
-with noise: what the fit looks like then, and how far forces that no mat
-measured, and parameters, move.
+group of signals at a time is multiplied by a factor, on noisy data of known
+truth. Prints how well the data are fitted then, and how far the cuffs' forces
+(also those that no mat measures) and parameters move.
 """
 
 import argparse
@@ -44,7 +44,7 @@ GROUPS = {
 
 
 def sweep(factors: list[float]) -> list[dict]:
-    """One row for each group and factor; the first is as it stands."""
+    """One row for each group and factor, after one with sigmas as they are."""
     made = rises_in_device()
     trials = [noisy(t, k, INSTRUMENT_NOISE) for k, t in enumerate(made.trials)]
     true = made.contact.values()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pdoc
 
-# Rooms of the first come with it.
+# pdoc adds subpackages of the first by itself.
 PAGES = (
     "drake_exo",
     "drake_exo.calibration.settings",

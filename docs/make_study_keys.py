@@ -19,7 +19,7 @@ from drake_exo.contact.hunt_crossley import PaperConstants, SimbodyConstants
 from drake_exo.model import segments
 from drake_exo.study import StudyFile
 
-# Values given in a study replace scaled ones, which say what they mean.
+# Values that a study gives replace scaled ones, whose classes describe them.
 _SAME_KEYS = {
     segments.HumanOverrides: segments.HumanParameters,
     segments.ExoskeletonOverrides: segments.ExoskeletonParameters,
@@ -58,7 +58,7 @@ def page() -> str:
 
 
 def _collect(cls: type, where: str, found: dict[type, str]) -> None:
-    """Classes by the first place that they stand in, in order."""
+    """Add a class and those below it to `found`, with its first dotted key."""
     if cls in found:
         return
     found[cls] = where
@@ -98,7 +98,7 @@ def _section(cls: type, where: str, found) -> str:
 
 
 def _constants(law: str, cls: type) -> str:
-    """The names that `foot_ground.constants` may hold with one law."""
+    """Section on what `foot_ground.constants` may hold with one law."""
     rows = [
         f"| `{f.name}` | {f.metadata['unit']} | {f.default:g} |"
         for f in dataclasses.fields(cls)

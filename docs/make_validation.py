@@ -21,9 +21,9 @@ from drake_exo.calibration.audit import spread
 
 _ROOT = Path(__file__).resolve().parents[1]
 _PAGE = _ROOT / "docs" / "validation.md"
-_SEEDS = (1,)  # of the demo
+_SEEDS = (1,)  # that of the demo
 _HELD = "450:478"
-# Rows of the tables: what `rmsd` calls them, and what a page does.
+# Rows of the tables: key of `rmsd` -> title on the page.
 _SIGNALS = {
     "angles_deg": "angles °",
     "velocities_deg_s": "velocities °/s",
@@ -62,7 +62,7 @@ def main() -> None:
 
 
 def weights() -> list[str]:
-    """Largest change when one group's sigma is another."""
+    """Largest changes when the sigma of one group of signals is changed."""
     rows = _benchmark("weights.py")
     groups = dict.fromkeys(r["group"] for r in rows[1:])
     lines = _header("σ of", "cuff force N", "parameter, in its 95 % interval")
@@ -75,7 +75,7 @@ def weights() -> list[str]:
 
 
 def intervals() -> list[str]:
-    """How often they hold the truth."""
+    """How often 95 % intervals of parameters hold the truth."""
     found = _benchmark("interval_coverage.py", "--seeds", "200")["rows"]
     lines = _header("parameter", "inside, %")
     for r in (r for r in found if r["identifiable"]):
@@ -85,7 +85,7 @@ def intervals() -> list[str]:
 
 
 def seeds() -> list[str]:
-    """Wide truths that nothing was tuned on."""
+    """Predictions for subjects of wide truth that nothing was tuned on."""
     found = _benchmark("seeds.py", "--seeds", _HELD, "--floor")
     lines = _header(
         "seed", "calibrated N", "nominal cuffs N", "true cuffs N",
@@ -166,7 +166,7 @@ _TABLES = {
 
 
 def _benchmark(script: str, *options: str):
-    """What a script of benchmarks/ says as JSON."""
+    """Run a script of benchmarks/; its results, read from JSON."""
     command = [sys.executable, _ROOT / "benchmarks" / script, *options]
     found = subprocess.run(
         [*command, "--json"], stdout=subprocess.PIPE, text=True, check=True
@@ -178,7 +178,7 @@ def _benchmark(script: str, *options: str):
 
 
 def _means(scores: list[dict]) -> dict[str, float]:
-    """Mean over trials of each signal, of its largest component."""
+    """Title of a row -> mean over trials, of a signal's largest component."""
     found = {}
     for key, title in _SIGNALS.items():
         values = [s[key] for s in scores]
