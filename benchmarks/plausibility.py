@@ -209,7 +209,7 @@ def force_files(p: Plant) -> None:
 def encoder_stranger(p: Plant) -> None:
     """A trial has the encoders of one that is not in the study.
 
-    No other trial without assistance is left to tell them apart.
+    Only two trials are left, either of which may have the wrong file.
     """
     first, second, third = p.study["trials"][:3]
     second["encoders"] = third["encoders"]

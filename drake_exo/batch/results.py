@@ -519,7 +519,7 @@ def _peaks(trial: Trial) -> dict[tuple[str, str], float]:
 def limits_of_agreement(
     differences: Sequence[float], subjects: Sequence[str]
 ) -> tuple[float, float, float]:
-    """Bias and limits of agreement, bias -/+ 1.96 SD.
+    """Bland-Altman bias and limits of agreement, bias -/+ 1.96 SD.
 
     The variance of single differences is that between subjects and that
     within them, by a one-way analysis of variance: Bland, Altman: Agreement

@@ -82,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_study_arguments(
     parser: argparse.ArgumentParser, resume: bool = True
 ) -> None:
-    """Arguments that all commands on a study share.
+    """Add the arguments that all commands on a study share.
 
     Args:
         parser: of the command.

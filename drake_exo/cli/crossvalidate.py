@@ -131,8 +131,8 @@ def verdict(folds: list[dict], alone: Sequence[str] = ()) -> dict:
         alone: cuffs that only one trial has mats on.
 
     Returns:
-        helps, ratio of mean normal forces' RMSD (calibrated over not; both
-        None where nothing can be compared), and a sentence.
+        helps; ratio of the mean RMSD of normal forces, calibrated over
+        nominal (both None if nothing can be compared); and a sentence.
     """
     own, usual = [], []
     for f in folds:

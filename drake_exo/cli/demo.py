@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the steps one after the other; stops where nothing is solved."""
+    """Run the steps one after the other; stops if one is not solved."""
     folder = prepare_output_folder(args.out, args.force)
     with folder as out:
         code = folder.end(_steps(out))

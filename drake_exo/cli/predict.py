@@ -376,7 +376,7 @@ def _write(
     verdict: Verdict,
     designed: bool,
 ) -> None:
-    """Trajectories, tables and figures of the trials that were solved."""
+    """Write trajectories, tables and figures of the trials that were solved."""
     for prediction, usual, _ in good:
         prediction.write(out, verdict)
         if usual is not None:

@@ -332,7 +332,7 @@ class Heard:
         self._say, self._last, self._way = say, {}, -1
 
     def update(self, ended, pool: Pool, jobs: Sequence[Job]) -> None:
-        """Say what is new."""
+        """Pass on the last line of each log if it is new."""
         self._way = -self._way
         for job in jobs[:: self._way]:
             line = last_line(job.log) if job.log else ""

@@ -266,14 +266,14 @@ class Study:
 
 
 def optimize_job(folder: Path, case: Case, say, search, accepted=()) -> str:
-    """Write the design that a search has found; a line on it."""
+    """Write the design that a search has found; returns a line on it."""
     (found,) = search.values()
     design = finished(case, found, say)
     return line(design.write(folder, say, accepted))
 
 
 def front_job(folder: Path, case: Case, say) -> str:
-    """Write a case's front.json; says how many points it has.
+    """Write a case's front.json; returns a line on its number of points.
 
     1-Ref has the whole front, others the point at the paper's ratio of c_rot.
     """
@@ -338,7 +338,7 @@ def _tables(out: Path, summary: dict, mark: str) -> str:
 
 
 def table(rows: list[dict]) -> str:
-    """Table 2 with all its columns, the paper's beside ours."""
+    """Table 2 as text, a line of the paper and one of ours for each case."""
     head = (
         f"{'case':11s} {'':6s} {'c_tr ini':>9s} {'c_tr opt':>9s} "
         f"{'ratio':>6s} {'comp.':>7s} {'c_rot ini':>9s} {'c_rot opt':>9s} "
@@ -375,7 +375,7 @@ def _line(name, who, weight, values, base) -> str:
 
 
 def paper_cost(row: dict) -> float:
-    """The paper's optimum rescaled to our brick: c to beat."""
+    """Cost c of the paper's optimum, rescaled to our brick: to be beaten."""
     tr0, tr, rot0, rot = TABLE_2[row["name"]]
     c_tr = row["c_tr_initial"] * tr / tr0
     return c_tr - row["weight"] * row["c_rot_initial"] * rot / rot0

@@ -226,7 +226,7 @@ def _draw_band(
 def overview_figure(
     found: Trial, measured: Trial, band: Bands | None = None
 ) -> Figure:
-    """One predicted trial beside the measured one.
+    """Figure of one predicted trial over the measured one.
 
     Columns hold joint angles, their velocities, normal forces of the cuffs
     (where there are any) and the ground reaction.
@@ -275,7 +275,7 @@ def moments_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
 
 
 def front_figure(rows: list[dict]) -> Figure:
-    """Force error against angle error; hollow where a solve failed."""
+    """Pareto front of force against angle error; hollow: not solved."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(4.5, 3.4))
         ax = figure.subplots()

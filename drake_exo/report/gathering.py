@@ -269,7 +269,7 @@ class Comparison:
     trials: tuple[str, ...]
 
     def text(self) -> str:
-        """All tables."""
+        """All tables as text, with marks of results that do not hold."""
         settings = self.settings()
         parts = [
             ("what differs in settings", settings),
@@ -423,7 +423,7 @@ class Comparison:
 
 
 def compare(folders: Sequence[str | Path]) -> Comparison:
-    """Put results side by side.
+    """Compare results of one phase.
 
     Args:
         folders: at least two, each of one `calibrate` or `predict`.
@@ -605,7 +605,7 @@ def lookup(tree, path) -> float | None:
 
 
 def parameters_table(parameters: list[dict]) -> str:
-    """The parameters of a summary as text."""
+    """Text table of a summary's parameters."""
     rows = [
         [
             p["name"],
@@ -636,7 +636,7 @@ def _interval(parameter: dict) -> str:
 
 
 def clocks_table(clocks: list[dict]) -> str:
-    """Clocks as summary.json holds them, a line for each."""
+    """Text table of clocks, given as in summary.json."""
     rows = [
         [
             f"{c['trial']}, {c['system']}",
@@ -650,7 +650,7 @@ def clocks_table(clocks: list[dict]) -> str:
 
 
 def audit_table(rows: list[dict]) -> str:
-    """Audits as summary.json holds them, a line for each trial."""
+    """Text table of audits, given as in summary.json, by trial."""
     header = [
         "audit",
         "between nodes [N]",
@@ -677,7 +677,7 @@ def audit_table(rows: list[dict]) -> str:
 
 
 def front_table(rows: list[dict]) -> str:
-    """A Pareto front as `pareto_front` finds it."""
+    """Text table of a Pareto front, as `pareto_front` finds it."""
     header = [
         "noise of forces ×",
         "angles [deg]",

@@ -253,7 +253,7 @@ def _reach(osim, q, v, names, copy: Copy, target, rate, rows, what) -> None:
 
     Newton's method, all n states at once; `q` holds the first guess. Columns of
     `target`, `rate` (n, 6), of which `rows` are met: x, y, angle in the plane,
-    z, and x and y of the frame's z axis, which stays normal to the plane.
+    z, and x and y of the frame's z axis, zero where it is normal to the plane.
     """
     n = len(target)
 
@@ -425,7 +425,7 @@ def exported_forces(file: xml.OsimFile, osim: OsimModel, q, v):
 
 
 def turned_off(copies: Copies, q, trial: Trial) -> dict[str, float]:
-    """Leg's coordinate -> largest difference from the planar angle [rad]."""
+    """Leg's coordinate -> largest difference from the pin's angle [rad]."""
     found, tree, osim = {}, copies.tree, copies.person.osim
     for side, end in ENDS.items():
         suffix = f"_{side}" if copies.who.sides else ""
@@ -486,7 +486,7 @@ def export_opensim(
     force: bool = False,
     accept: Sequence[str] = (),
 ) -> Export:
-    """Write a model with calibrated contacts, and states of the movements.
+    """Write an OpenSim model with calibrated contacts, states and forces.
 
     Args:
         folder: that `calibrate` or `predict` wrote.
