@@ -258,7 +258,8 @@ def test_what_a_campaign_was_made_with(tmp_path):
     }
     for key, how in (("design", "--design"), ("left_share", "--model")):
         path.write_text(json.dumps(about | {key: {}}))
-        with pytest.raises(InputError, match=f"'drake-exo lab {how}', with which no"):
+        said = f"'drake-exo lab {how}', with which no design can be built"
+        with pytest.raises(InputError, match=said):
             read_about(tmp_path)
     for damaged in ("{}", '{"seed": "x"}', "[1]"):
         path.write_text(damaged)
