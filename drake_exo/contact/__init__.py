@@ -1,6 +1,6 @@
 """Force laws and their derivatives, and LeafSystems around them.
 
-Names are imported as they are asked for.
+Names are imported on first use.
 """
 
 import drake_exo

@@ -3,9 +3,9 @@
 Defined as in OpenSim. Frame F1 sits on the human link at `origin`, parallel
 to it; F2 sits on the exoskeleton link. Deflection is the pose of F2 seen from
 F1, in F1's axes, and its rate is the time derivative seen from F1. The force
-is linear in both, but for straps that slip: the spring along the limb gives
-k d/(1 + (s k d)^4)^(1/4), never more than 1/s. It acts at F2's origin on both
-links, equal and opposite, so that the pair leaves no moment behind.
+is linear in both, except that a cuff may slip: the spring along the limb gives
+k d/(1 + (s k d)^4)^(1/4), never more than 1/s. Equal and opposite forces act
+on both links at F2's origin, so the pair makes no net moment.
 
 Components, in this order everywhere:
 
@@ -17,9 +17,9 @@ Reported force is the force **on the human**. With deflection d it is
 K d + B ḋ: an exoskeleton displaced forwards pulls the human forwards. The
 power of the pair is −F·ḋ, so its generalised force is −(∂d/∂q)ᵀ F.
 
-Pure functions of arrays that broadcast; float, complex, AutoDiffXd and
-Expression. Poses are (x, z, angle) and motions (v_x, v_z, rate) of the link
-frames in the world, angle counter-clockwise seen from the right side.
+Pure functions that broadcast over float, complex, AutoDiffXd and Expression.
+Poses are (x, z, angle) and motions (v_x, v_z, rate) of the link frames in the
+world, angle counter-clockwise seen from the right.
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ from drake_exo.model.planar_tree import PlanarTree
 
 COMPONENTS = ("tangential", "normal", "rotation")
 TANGENTIAL, NORMAL, ROTATION = range(3)
-# What is calibrated of a bushing, in this order; see `BushingParameters`.
+# Calibrated fields of `BushingParameters`, in the order of arrays.
 CALIBRATED = (
     "origin_x",
     "origin_z",
@@ -50,10 +50,10 @@ class BushingParameters:
     """One bushing. Fields may also hold AutoDiffXd or Expression values.
 
     `origin` places F1 in the human link frame and F2 at the same place of the
-    exoskeleton link, so that they coincide while both chains are aligned.
-    `preload` moves F2 from there in the axes of the exoskeleton link (strap
-    preload), zero by default. `slip` is one over the force along the limb at
-    which the cuff slips; zero, as in the paper, for one that never does.
+    exoskeleton link, so they coincide while both chains are aligned.
+    `preload` moves F2 from there, in the axes of the exoskeleton link, like a
+    strap under tension. `slip` is the reciprocal of the force along the limb
+    at which the cuff slips; zero, as in the paper, for one that never slips.
 
     >>> BushingParameters(origin_z=0.25).scaled(1.4).normal_stiffness
     7000.0
@@ -74,7 +74,7 @@ class BushingParameters:
 
     @property
     def stiffness(self) -> tuple:
-        """Stiffnesses in the order of COMPONENTS."""
+        """Stiffnesses [N/m, N/m, N m/rad] in the order of COMPONENTS."""
         return (
             self.tangential_stiffness,
             self.normal_stiffness,
@@ -83,7 +83,7 @@ class BushingParameters:
 
     @property
     def damping(self) -> tuple:
-        """Dampings in the order of COMPONENTS."""
+        """Dampings [N s/m, N s/m, N m s/rad], order of COMPONENTS."""
         return (
             self.tangential_damping,
             self.normal_damping,
@@ -92,16 +92,16 @@ class BushingParameters:
 
     @property
     def origin(self) -> tuple:
-        """(x, z) of F1 in the human link."""
+        """Place (x, z) of F1 in the human link [m]."""
         return self.origin_x, self.origin_z
 
     @property
     def preload(self) -> tuple:
-        """(x, z, angle) of F2 relative to its aligned place."""
+        """(x, z, angle) of F2 from its aligned place [m, m, rad]."""
         return self.preload_x, self.preload_z, self.preload_angle
 
     def scaled(self, factor: float) -> "BushingParameters":
-        """Stiffness and damping times `factor`; all else stays (Phase C2)."""
+        """The same with stiffness and damping times `factor` (Phase C2)."""
         values = {
             name: factor * value
             for name, value in vars(self).items()
@@ -141,7 +141,7 @@ def bushing_deflection(
 
     Args:
         human_pose, exoskeleton_pose: (x, z, angle) of the link frames, each
-            entry of any shape (...); an array of shape (3, ...) will do.
+            entry of shape (...); an array (3, ...) works as well.
         human_motion, exoskeleton_motion: (v_x, v_z, rate) likewise.
         origin: (x, z) of F1 in the human link and of F2 in the exoskeleton's.
         preload: (x, z, angle) of F2 relative to its aligned place.
@@ -186,7 +186,7 @@ def bushing_force(deflection, rate, stiffness, damping, slip=0.0) -> Components:
     Args:
         deflection, rate: As from `bushing_deflection`.
         stiffness, damping: Three values in the order of COMPONENTS.
-        slip: As that of `BushingParameters`; of the spring along the limb.
+        slip: 1/N, of the tangential spring, as in `BushingParameters`.
 
     >>> still = (0.0, 0.0, 0.0)
     >>> bushing_force((0, 0.005, 0), still, (1, 4000.0, 1), still).normal
@@ -205,7 +205,7 @@ def bushing_force(deflection, rate, stiffness, damping, slip=0.0) -> Components:
 
 @any_scalar
 def bushing_energy(deflection, stiffness, slip=0.0) -> Components:
-    """Energy ½ k d² [J] stored in each component; what slips stores none."""
+    """Energy ½ k d² [J] of each component, d without what has slipped."""
     held = (held_share(stiffness[0] * deflection[0], slip), 1.0, 1.0)
     return Components(
         *(
@@ -216,7 +216,7 @@ def bushing_energy(deflection, stiffness, slip=0.0) -> Components:
 
 
 def held_share(force, slip):
-    """Share of a spring's force along the limb that does not slip."""
+    """Share of the linear force k d that remains with slip: (1 + (sF)⁴)^-¼."""
     square = (slip * force) ** 2
     return 1.0 / sqrt(sqrt(1.0 + square * square))
 
@@ -249,7 +249,7 @@ def bushing_wrench(
 
 
 class BushingKinematics:
-    """Deflection of a tree's bushing, and derivatives, for all nodes at once.
+    """Deflection of a cuff and its derivatives, for all nodes at once.
 
     With complex numbers, the deflection of the device's frame seen from the
     human's is delta = sum_k D_k exp(i psi_k), psi_k = phi_k - phi_human:
@@ -258,17 +258,17 @@ class BushingKinematics:
     as `bushing_deflection` has it; all derivatives follow term by term. The
     generalized force of a bushing is -(dd/dq)^T F.
 
-    Where a cuff sits is a vector of places: the origin (x, z) of both frames,
-    and whatever else moves the device's frame.
+    `places` is the vector of lengths [m] that say where the cuff sits: the
+    origin (x, z) of both frames, then those of `moving`.
 
     Args:
         tree: the coupled model.
         cuff: a name in `tree.cuffs`.
         preload: (x, z, angle) of the device's frame beyond the human's
             when both chains are aligned [m, m, rad].
-        moving: (segment, direction) of each further place: a metre of it
-            moves the device's frame by the complex number x + i z, turned
-            with that segment of the tree.
+        moving: (segment, direction) of each further place, such as a joint
+            that is moved: per metre of it, the device's frame moves by the
+            complex number x + i z in the axes of that segment of the tree.
     """
 
     def __init__(
@@ -290,7 +290,7 @@ class BushingKinematics:
         self.relative = psi  # (ns, nq): psi = relative @ q
         self.rotation = psi[self._e]
         self.num_places = 2 + len(moving)
-        # D by the places, (ns, num_places).
+        # Derivative of D by the places, (ns, num_places).
         self._by = np.zeros((len(psi), self.num_places), complex)
         self._by[self._e, :2] += (1.0, 1j)
         self._by[self._h, :2] -= (1.0, 1j)
@@ -298,15 +298,15 @@ class BushingKinematics:
             self._by[segment, k] += direction
 
     def turns(self, q):
-        """exp(i psi_k), (n, ns), at q (n, nq)."""
+        """Unit vectors exp(i psi_k) (n, ns) at q (n, nq)."""
         return np.exp(1j * (q @ self.relative.T))
 
     def terms(self, q, places):
-        """D_k exp(i psi_k), (n, ns), at q (n, nq), places (n, num_places)."""
+        """D_k exp(i psi_k) (n, ns) at q (n, nq), places (n, num_places)."""
         return (self._D0 + places @ self._by.T) * self.turns(q)
 
     def led(self, terms, direction):
-        """Of terms or turns, the derivative along a direction (n, nq)."""
+        """Derivative of terms or turns along a direction of q (n, nq)."""
         return 1j * (direction @ self.relative.T) * terms
 
     @property
@@ -321,11 +321,11 @@ class BushingKinematics:
         return np.stack([delta.imag, delta.real, angle], axis=1)
 
     def largest(self, trials, origin) -> np.ndarray:
-        """Largest deflection (3,) over trials [m, m, rad].
+        """Largest absolute deflection (3,) over trials [m, m, rad].
 
         Args:
-            trials: have coordinates q (n, nq).
-            origin: (2,), with nothing else moved.
+            trials: objects with coordinates q (n, nq).
+            origin: (2,) [m]; all other places are zero.
         """
         places = np.zeros((1, self.num_places))
         places[:, :2] = origin
@@ -333,7 +333,7 @@ class BushingKinematics:
         return np.abs(np.concatenate(found)).max(axis=0)
 
     def force(self, deflection, bushing: BushingParameters):
-        """Of springs (n, 3) that are deflected so (n, 3), without damping."""
+        """Force of the springs (n, 3) at deflections (n, 3), no damping."""
         none = (0.0, 0.0, 0.0)
         springs = bushing_force(
             deflection.T, none, bushing.stiffness, none, bushing.slip
@@ -341,23 +341,23 @@ class BushingKinematics:
         return np.stack(springs, axis=1)
 
     def deflection_jacobian(self, terms):
-        """By q: (n, 3, nq)."""
+        """Derivative of the deflection by q, (n, 3, nq)."""
         d = (1j * terms) @ self.relative
         rotation = np.broadcast_to(self.rotation, d.shape)
         return np.stack([d.imag, d.real, rotation], axis=1)
 
     def rate_jacobian(self, terms, v):
-        """Of the deflection's rate by q, (n, 3, nq)."""
+        """Derivative of the deflection's rate by q, (n, 3, nq)."""
         d = (1j * self.led(terms, v)) @ self.relative
         return np.stack([d.imag, d.real, np.zeros(d.shape)], axis=1)
 
     def by_places(self, turns):
-        """Of tangential and normal deflection, (n, 2, num_places)."""
+        """Tangential, normal deflection by places, (n, 2, num_places)."""
         g = turns @ self._by
         return np.stack([g.imag, g.real], axis=1)
 
     def curvature(self, terms, force):
-        """Hessian by q of F . d, (n, nq, nq)."""
+        """Hessian (n, nq, nq) by q of F · d, the force F (n, 3) held."""
         f = force[:, 1] + 1j * force[:, 0]
         c = -(np.conj(f)[:, None] * terms).real
         return np.einsum(
@@ -365,7 +365,7 @@ class BushingKinematics:
         )
 
     def gradient_by_places(self, turns, force):
-        """d2(F . d)/(dq d places), (n, nq, num_places): moving moment arms."""
+        """d²(F · d)/(dq d places), (n, nq, num_places), F (n, 3) held."""
         f = force[:, 1] + 1j * force[:, 0]
         g = np.conj(f)[:, None] * 1j * turns
         return np.einsum(

@@ -5,8 +5,8 @@
     model.plant.SetPositions(model.plant_context(simulator.get_context()), q)
     simulator.AdvanceTo(1.0)
 
-Keep apart the diagram for planning and the one for viewing: with a meshcat
-inside, the diagram converts to no other scalar type.
+For AutoDiffXd or Expression build a second diagram without a meshcat: one
+that holds a meshcat cannot be converted to another scalar type.
 """
 
 import sys
@@ -45,23 +45,23 @@ from drake_exo.contact.systems import (
 from drake_exo.errors import InputError, check_type
 from drake_exo.model.plant import Model
 
-# Ports that a force or controller may have as inputs, fed by the diagram.
+# Ports of the plant that feed inputs of the same name.
 _PLANT_PORTS = ("body_poses", "body_spatial_velocities", "state")
 
 
 @dataclass(frozen=True)
 class ExoskeletonDiagram:
-    """A diagram with its parts.
+    """A diagram and its parts, as `build_diagram` returns them.
 
     Attributes:
-        diagram: outputs state, ground_reaction, sphere_wrenches (of several
-            segments that touch, each with _SEGMENT at its end) and, with
+        diagram: outputs state, ground_reaction, sphere_wrenches (both named
+            ..._SEGMENT if several segments touch the ground) and, with
             bushings, interaction_forces, deflections, energies; input
             joint_torques if there is no controller.
         plant: finalized.
-        contacts: segment that touches -> its `FootGroundContact`.
+        contacts: segment that touches the ground -> its `FootGroundContact`.
         bushings: `HumanExoskeletonBushings`, None where there are none.
-        controller: as given.
+        controller: as given to `build_diagram`.
     """
 
     diagram: Diagram
@@ -72,12 +72,12 @@ class ExoskeletonDiagram:
 
     @property
     def contact(self) -> LeafSystem:
-        """That of a model on one segment."""
+        """The only `FootGroundContact`, if one segment touches the ground."""
         (only,) = self.contacts.values()
         return only
 
     def plant_context(self, context: Context) -> Context:
-        """The plant's part of the diagram's context, mutable."""
+        """The plant's mutable context within the diagram's."""
         return self.plant.GetMyMutableContextFromRoot(context)
 
 
@@ -94,18 +94,18 @@ def build_diagram(
     Args:
         model: subject and device.
         contact: of the foot and of the cuffs; `nominal_contact` if None. A
-            cuff without a bushing does not touch.
+            cuff without a bushing transmits no force.
         controller: has the output port joint_torques [N·m], one for each
             hinge, and any of the inputs state, body_poses,
             body_spatial_velocities, ground_reaction, interaction_forces,
             which are connected by name.
         forces: further systems with the output spatial_forces and inputs
             named as the controller's, such as a chair.
-        meshcat: shows the motion there; forbids scalar conversion.
+        meshcat: where the motion is shown; it forbids scalar conversion.
 
     Raises:
-        InputError: parameters out of bounds, bushings where there are no
-            such cuffs, a controller without that port.
+        InputError: parameters out of bounds, bushings of cuffs that the
+            model has not, a controller without that output port.
 
     >>> from drake_exo.model.plant import nominal_model
     >>> built = build_diagram(nominal_model("coupled"))
@@ -157,7 +157,7 @@ def build_simulator(
     Args:
         model: the diagram.
         context: of the diagram; the default one if None.
-        accuracy: of the integrator, relative.
+        accuracy: relative, of the error control.
         integrator: name as in Drake's `SimulatorConfig`.
 
     >>> from drake_exo.model.plant import nominal_model
@@ -179,7 +179,7 @@ def build_simulator(
     return simulator
 
 
-# So that nothing short, a foot that strikes, is stepped over.
+# Largest step: a short event, such as foot strike, is not stepped over.
 _STEP_S = 0.05
 
 
@@ -190,24 +190,24 @@ def integrate(
     tell: Callable[[float, np.ndarray], None] | None = None,
     accuracy: float = 1e-3,
 ) -> OdeSolution:
-    """The motion from a context on, by Radau's method of fifth order.
+    """Simulates from the context's state by Radau's method of fifth order.
 
-    Drake's implicit integrators compare with the trapezoidal rule, which can
-    hold them at steps of 0.1 ms for seconds, and at the same tolerance take
-    two to three times as many evaluations, for a third of the digits.
+    Drake's implicit integrators estimate their error from the trapezoidal rule,
+    which can hold them at steps of 0.1 ms for seconds; at the same tolerance
+    they take two to three times as many evaluations for a third of the digits.
 
     Args:
-        diagram: of an `ExoskeletonDiagram`, without a free input.
-        context: its, at the begin; is at the last step that was tried after.
-        end_s: until then.
+        diagram: of an `ExoskeletonDiagram`, all its inputs connected.
+        context: of the diagram, at the start; it is changed, and holds the
+            integrator's last evaluation afterwards.
+        end_s: time to stop at [s].
         tell: called after every step with the time and the state.
-        accuracy: of a step, relative; a tenth of it in absolute terms
-            (m, rad, and their rates).
+        accuracy: relative tolerance; the absolute one (m, rad and their
+            rates) is a tenth of it.
 
     Returns:
-        The state (2 nq,), positions and velocities, as a function of time
-        from the context's to `t_max`: `end_s`, or where the integrator could
-        go no further.
+        The state (2 nq,), positions and velocities, as a function of time, to
+        `t_max`: `end_s`, or earlier where the integrator failed.
 
     Source:
         Hairer, Wanner 1996, Solving Ordinary Differential Equations II, IV.8.
@@ -242,13 +242,13 @@ def integrate(
 
 @TemplateSystem.define("JointTorques_", scope=sys.modules[__name__])
 def JointTorques_(T):
-    """Joint torques as generalised forces; nothing pushes the foot.
+    """Joint torques as generalised forces, zero for the root's coordinates.
 
-    Input joint_torques: one for each coordinate after the foot's three
+    Input joint_torques: one for each coordinate after the root's three
     [N·m], zero where not connected. Output generalized_force.
 
     Args of the constructor:
-        num_velocities: of the plant.
+        num_velocities: number of the plant's velocities.
     """
 
     class Impl(LeafSystem_[T]):
@@ -310,7 +310,7 @@ def _bushings(plant, model: Model, bushings) -> LeafSystem:
 def _connect(
     builder, plant, contacts, systems, controller, bushing_system
 ) -> None:
-    """Connects forces and controller to the plant and exports ports."""
+    """Connects forces and controller to the plant; exports the ports."""
     sources = {name: plant.GetOutputPort(name) for name in _PLANT_PORTS}
     for body, contact in contacts.items():
         end = f"_{body}" if len(contacts) > 1 else ""

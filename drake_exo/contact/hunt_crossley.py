@@ -16,13 +16,13 @@ Signs: indentation is positive inside the ground, its rate is positive while
 the sphere sinks, slip velocity is along world x, normal force is along world
 z, friction along world x.
 
-Constants come first; their fields' metadata hold unit and bounds, so that a
-study file is read straight into them. Then the laws: pure functions of arrays
-that broadcast, for float and complex numpy arrays, AutoDiffXd and Expression
-(`contact.scalars`). At last their first derivatives, analytic, for float
-arrays: the collocation evaluates every sphere at every node in each
-iteration, so intermediate results are shared. Tests hold them to complex-step
-derivatives of the laws.
+The file holds first the constants, whose fields' metadata give unit and
+bounds, so that a study file is read straight into them; then the laws, pure
+functions that broadcast over float and complex numpy arrays, AutoDiffXd and
+Expression (`contact.scalars`); last their analytic first derivatives for float
+arrays, which share intermediate results because the collocation evaluates
+every sphere at every node in each iteration. Tests compare them with
+complex-step derivatives of the laws.
 """
 
 from dataclasses import dataclass
@@ -47,19 +47,19 @@ from drake_exo.files.schema import quantity
 class PaperConstants:
     """Constants of the paper's law.
 
-    Friction values are the ones usual with OpenSim; the paper prints none,
-    nor its smoothing constants. Those are chosen here:
+    The paper prints neither friction nor smoothing constants. Friction is what
+    is usual with OpenSim; the smoothing constants are chosen here:
 
     - b_c = 300 for indentation (1/m) and for its rate (s/m), as the paper
       uses one letter for both: the Hertz force is within 0.3 % of the sharp
       law from 10 mm on, and adhesion stays below 0.21 c/300 of it.
-    - b_d = 20 1/m, b_n = 1 N: out of contact the total force stays under
-      0.48 N and its slope above 2.9 N/m down to 50 mm above the ground. A
-      sharper b_d would remove the slope that the term is meant to give.
+    - b_d = 20 1/m, b_n = 1 N: up to 50 mm above the ground the force out of
+      contact stays under 0.48 N and its slope above 2.9 N/m. A sharper b_d
+      would remove the slope that the term is meant to give.
     - b_v = 50 s/m as in Simbody.
     - delta = 10 µm keeps the Hertz part below 0.02 N at zero indentation up
-      to E = 4e7 N/m² at 32 mm radius; others: 0.193 m N^(2/3) / (k r^(1/3)).
-    - epsilon = 10 µm/s only makes √(v²) differentiable at rest.
+      to E = 4e7 N/m² at r = 32 mm; beyond: 0.193 m N^(2/3) / (k r^(1/3)).
+    - epsilon = 10 µm/s (`slip_smoothing`) makes √(v²) differentiable at rest.
     """
 
     static_friction: float = quantity("1", 0.8, minimum=0.0)
@@ -85,8 +85,8 @@ class SimbodyConstants:
     centimetres, while its default 0.01 m/s makes the equations stiff.
     `constant_contact_force` smooths both |indentation| (m²) and |slip|
     (m²/s²). `friction_rounding`, which OpenSim does not have, rounds the
-    corner at the transition velocity: a foot that touches down while it
-    slides crosses it within milliseconds, and no grid follows.
+    corner at the transition velocity: a foot that touches down while
+    sliding crosses it within milliseconds, which no grid resolves.
     """
 
     static_friction: float = quantity("1", 0.8, minimum=0.0)
@@ -103,7 +103,7 @@ Constants = PaperConstants | SimbodyConstants
 
 
 Law = Literal["paper", "simbody"]
-# Law -> its constants.
+# Law -> class of its constants.
 LAWS = {"paper": PaperConstants, "simbody": SimbodyConstants}
 
 # Below this dissipation [s/m] the velocity gate is exactly one in double
@@ -164,7 +164,7 @@ def step5(t):
 def release_rate(dissipation):
     """2/(3c) [m/s]: the unloading rate at which the dissipative factor is 0.
 
-    Finite for c = 0, but so large that the gate built on it is exactly 1.
+    For c = 0 it is finite, but so large that the gate using it is exactly 1.
     """
     c = select_less(
         MIN_GATE_DISSIPATION, dissipation, dissipation, MIN_GATE_DISSIPATION
@@ -221,10 +221,10 @@ def friction_coefficient(law: Law, speed, constants: Constants):
 
 
 def saturated(ratio, rounding):
-    """min(ratio, 1) of a ratio that is not negative, its corner rounded.
+    """min(ratio, 1) for ratio ≥ 0, its corner rounded by w = `rounding`.
 
-    ½ (√((ratio + 1)² + w²) − √((ratio − 1)² + w²)): the minimum for w = 0,
-    zero at zero and 1 far off for every w.
+    ½ (√((ratio + 1)² + w²) − √((ratio − 1)² + w²)): exactly the minimum for
+    w = 0; for every w it is 0 at ratio = 0 and tends to 1.
     """
     if isinstance(rounding, float) and rounding == 0.0:
         return minimum(ratio, 1.0)
@@ -309,9 +309,9 @@ def checked_constants(law: Law, constants: Constants | None) -> Constants:
 
 
 def contact_arm(law: Law, indentation, radius):
-    """Height of the sphere's centre above the contact point [m].
+    """Height of the sphere's centre above the point where force acts [m].
 
-    The sphere's lowest point for paper, half the indentation for simbody.
+    That is the sphere's lowest point (paper) or half the indentation (simbody).
     """
     return radius if law == "paper" else radius - 0.5 * indentation
 
@@ -339,8 +339,8 @@ def sphere_wrench(
         stiffness, dissipation, radius, constants: As in `sphere_force`.
 
     Returns:
-        Force on the sphere and the point where it acts. The slip velocity is
-        that of the body's material point at the contact point.
+        Force on the sphere and the point where it acts. Slip is the velocity
+        of the body's material point there.
     """
     indentation = radius - center_z
     arm = contact_arm(law, indentation, radius)
@@ -357,7 +357,7 @@ def sphere_wrench(
     return SphereWrench(friction, normal, center_x, center_z - arm)
 
 
-# Order of the first axis of the derivatives.
+# Arguments in the order of the derivatives by them.
 FORCE_INPUTS = (
     "indentation",
     "rate",
@@ -379,13 +379,13 @@ WRENCH_INPUTS = (
 
 
 def _gate(sharpness, value):
-    """Gate ½ + ½ tanh and its derivative with respect to `value`."""
+    """`gate` and its derivative by `value`."""
     tanh = np.tanh(sharpness * value)
     return 0.5 + 0.5 * tanh, 0.5 * sharpness * (1.0 - tanh * tanh)
 
 
 def _dissipation(x_dot, c, sharpness, shifted, d_shifted_dc):
-    """Factor (1 + 3/2 c ẋ)·gate with derivatives by rate and dissipation."""
+    """Factor (1 + 3/2 c ẋ)·gate, and its derivatives by ẋ and c."""
     gate, d_gate = _gate(sharpness, shifted)
     factor = 1.0 + (1.5 * c) * x_dot
     by_gate = factor * d_gate
@@ -447,7 +447,7 @@ def _simbody_normal_derivatives(
 
 
 def _step5(t):
-    """Step and its derivative, both flat outside [0, 1]."""
+    """`step5` and its derivative, both constant outside [0, 1]."""
     t = np.clip(t, 0.0, 1.0)
     square = t * t
     step = square * t * (10.0 + t * (6.0 * t - 15.0))

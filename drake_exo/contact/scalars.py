@@ -1,15 +1,15 @@
-"""Elementary functions for every kind of number a force law meets.
+"""Elementary functions for every scalar type that a force law is used with.
 
 The laws are written once and run on float and complex arrays of numpy (complex
 for complex-step derivatives), on AutoDiffXd and on Expression. Numpy's ufuncs
 take all of them except where a branch has to be decided: `np.minimum`,
 `np.where` and `np.clip` fail on Expression, and compare complex numbers by
 their imaginary part when the real parts tie. Branches therefore go through
-`select_less`, which decides a complex one by its real part.
+`select_less`, which compares complex numbers by their real parts.
 
-Object arrays may mix Python floats with Drake's scalars. Python floats by
-themselves go through `math`, many times as fast as numpy's: a simulation
-evaluates the laws sphere by sphere, ten thousand times a second of movement.
+Object arrays may mix Python floats with Drake's scalars. Plain Python floats
+go through `math`, which is many times as fast as numpy: a simulation evaluates
+the laws sphere by sphere, ten thousand times per second of movement.
 """
 
 import functools
@@ -40,12 +40,12 @@ def any_scalar(function):
     return quiet
 
 
-# Types of arguments that need no further look; the check runs in simulations.
+# Types that hold no Drake scalar; the check must be fast in simulations.
 _PLAIN = frozenset((float, int, complex, str, bool, type(None), np.float64))
 
 
 def _any_object(values) -> bool:
-    if _PLAIN.issuperset(map(type, values)):  # one look in C at most of them
+    if _PLAIN.issuperset(map(type, values)):  # decides most calls, in C
         return False
     for value in values:
         if type(value) not in _PLAIN and _holds_object(value):
