@@ -1,8 +1,8 @@
-"""Contacts of foot and ground, and of human and device, as sets of values.
+"""Parameters of the contacts: foot with ground, and human with device.
 
-`ContactModel` is what a calibration finds and what simulation and prediction
-take; single scalars of it are called "heel.stiffness" or "thigh.origin_x". A
-`ContactParameter` is such a scalar with its bounds.
+`ContactModel` is the result of a calibration and an input of simulation and
+prediction. Its scalars have names such as "heel.stiffness" or
+"thigh.origin_x"; `ContactParameter` is one of them with bounds and prior.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,10 +31,10 @@ from drake_exo.model.segments import CONTACT_RADIUS_M
 
 
 def check_range(nominal: float, lower: float, upper: float) -> None:
-    """Refuse bounds that are none, and a value that is not within them.
+    """Check that lower < upper and that `nominal` lies between them.
 
     Raises:
-        InputError: saying which.
+        InputError: one of the two does not hold.
     """
     if not lower < upper:
         raise InputError(
@@ -55,12 +55,12 @@ class ContactParameter:
     Attributes:
         name: for reports, such as "heel.stiffness".
         unit: of all values.
-        nominal: value if not calibrated, guess and prior mean otherwise.
+        nominal: its value if not calibrated, else first guess and prior mean.
         lower, upper: bounds when calibrated.
         free: whether it is calibrated.
         prior_sd: standard deviation of the prior about the nominal value;
-            None for none.
-        log_prior: whether that is of the logarithm.
+            None: no prior.
+        log_prior: whether `prior_sd` is that of the natural logarithm.
     """
 
     name: str
@@ -74,7 +74,7 @@ class ContactParameter:
 
     @staticmethod
     def fixed(name: str, unit: str, value: float) -> "ContactParameter":
-        """One that is known."""
+        """A parameter that is known, not calibrated."""
         return ContactParameter(name, unit, value, value, value, free=False)
 
     def __post_init__(self):
@@ -87,7 +87,7 @@ class ContactParameter:
 
     @property
     def span(self) -> float:
-        """Distance between the bounds."""
+        """Distance between the bounds, in `unit`."""
         return self.upper - self.lower
 
     def at_bound(self, value: float, fraction: float = 1e-3) -> bool:
@@ -104,10 +104,10 @@ STIFFNESS_UNIT = {"paper": "(N/m^2)^(2/3)", "simbody": "N/m^2"}
 
 @dataclass(frozen=True)
 class ContactSphere:
-    """A sphere fixed in the foot link. Values also of Drake's scalars.
+    """A sphere fixed in a link; fields may also hold Drake's scalars.
 
-    `stiffness` is k = ½ E^(2/3) for the paper's law and E in N/m² for
-    simbody's; `x` and `z` place the centre in the link's frame.
+    `stiffness` is k = ½ E^(2/3) for the law "paper" and E in N/m² for
+    "simbody"; `x` and `z` place the centre in the link's frame.
 
     >>> ContactSphere(5e6, 2.0, x=-0.05, z=-0.04, radius=0.032).radius
     0.032
@@ -120,7 +120,7 @@ class ContactSphere:
     radius: float = quantity("m", above=0.0)
 
 
-# Parameters of a sphere in the order of arrays and numeric parameters.
+# A sphere's fields in the order of arrays and of Drake's numeric parameters.
 SPHERE_PARAMETERS = tuple(f.name for f in fields(ContactSphere))
 
 
@@ -128,8 +128,8 @@ SPHERE_PARAMETERS = tuple(f.name for f in fields(ContactSphere))
 class GroundContact:
     """Law, constants (the law's defaults if None) and spheres by name.
 
-    Those `of_sole` stand for a sole, which lies under every foot of a model
-    whatever spheres that names.
+    With `of_sole` the spheres stand for a sole: all of them lie under every
+    foot of a model, whatever spheres the model itself names.
 
     >>> heel = ContactSphere(5e6, 2.0, x=-0.05, z=-0.04, radius=0.032)
     >>> GroundContact("simbody", {"heel": heel}).checked().constants
@@ -143,7 +143,7 @@ class GroundContact:
     of_sole: bool = False
 
     def checked(self) -> "GroundContact":
-        """The same with constants filled in.
+        """The same, checked, with the constants filled in.
 
         Raises:
             InputError: a value is out of its bounds, or the constants are
@@ -158,13 +158,13 @@ class GroundContact:
         return replace(self, spheres=dict(self.spheres), constants=constants)
 
     def under(self, model: Model) -> "dict[str, GroundContact]":
-        """Segment that touches the ground -> the contact of its spheres.
+        """Segment that touches the ground -> contact with only its spheres.
 
-        Segments may have spheres of one name, which share their parameters;
-        where one segment touches, all spheres are its own.
+        Spheres of the same name on several segments share their parameters. If
+        one segment alone touches the ground, it gets all spheres.
 
         Raises:
-            InputError: there is none of a name that a segment has.
+            InputError: the model has a sphere that this contact lacks.
         """
         if self.of_sole:
             person = model.assembly.human
@@ -186,12 +186,12 @@ class GroundContact:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """What a calibration knows: values and how sure they are.
+    """Estimates of a calibration and their covariance.
 
     Attributes:
-        names: of contact parameters and shared errors.
-        values: (m,).
-        covariance: (m, m).
+        names: (m,) contact parameters and errors of measurement.
+        values: (m,) estimates, each in its own unit.
+        covariance: (m, m) of the values.
     """
 
     names: tuple[str, ...]
@@ -209,16 +209,16 @@ class Posterior:
     __hash__ = None
 
     def of(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """Values (k,) and covariance (k, k) of some."""
+        """Values (k,) and covariance (k, k) of the quantities named."""
         i = [self.names.index(name) for name in names]
         return self.values[i], self.covariance[np.ix_(i, i)]
 
     def part(self, names: Sequence[str]) -> "Posterior":
-        """The same of some alone."""
+        """The posterior of the quantities named, others dropped."""
         return Posterior(tuple(names), *self.of(names))
 
     def beside(self, other: "Posterior") -> "Posterior":
-        """With what is known of others, as if by other data."""
+        """Both posteriors joined, as if estimated from independent data."""
         return Posterior(
             (*self.names, *other.names),
             np.concatenate([self.values, other.values]),
@@ -231,12 +231,12 @@ class ContactModel:
     """Contact of foot and ground and, once calibrated, of the cuffs.
 
     Attributes:
-        ground: contact of the foot.
-        bushings: cuff -> its bushing; empty where human and device do not
-            touch, or nothing is known of it.
-        posterior: how sure a calibration is of them; None without one.
-        jerk: typical jerk of the movements that it was calibrated on
-            [rad/s^3]; without a calibration that of a brisk rise.
+        ground: contact of the foot with the ground.
+        bushings: cuff -> its bushing; empty without a device, or before the
+            cuffs are known.
+        posterior: uncertainty of the calibrated values; None if not calibrated.
+        jerk: typical jerk of the calibration trials [rad/s^3]; that of a brisk
+            rise without a device if not calibrated.
 
     >>> from drake_exo.model.plant import nominal_model
     >>> contact = nominal_contact(nominal_model("coupled"))
@@ -252,7 +252,7 @@ class ContactModel:
     jerk: float = TYPICAL_JERK
 
     def values(self) -> dict[str, float]:
-        """Parameters by name: spheres', then bushings' that are calibrated."""
+        """Parameters by name: all of spheres, then CALIBRATED of bushings."""
         found = {}
         for name, sphere in self.ground.spheres.items():
             found |= {
@@ -264,7 +264,7 @@ class ContactModel:
         return {name: float(value) for name, value in found.items()}
 
     def units(self) -> dict[str, str]:
-        """Units of `values`."""
+        """Units of `values`, by the same names."""
         found = {}
         for name in self.values():
             group, _, key = name.partition(".")
@@ -274,10 +274,10 @@ class ContactModel:
         return found
 
     def fixed(self, group: str) -> list[ContactParameter]:
-        """Parameters of one sphere or cuff, as known ones.
+        """Parameters of one sphere or cuff, as fixed `ContactParameter`s.
 
         Raises:
-            InputError: there is none of that name.
+            InputError: no sphere or cuff has that name.
         """
         check_names([group], [*self.ground.spheres, *self.bushings])
         units = self.units()
@@ -294,7 +294,7 @@ class ContactModel:
             values: by name, as `values` gives them.
 
         Raises:
-            InputError: there is none of that name, or out of its bounds.
+            InputError: a name is unknown, or a value is out of its bounds.
         """
         check_names(values, self.values())
 
@@ -333,13 +333,13 @@ class ContactModel:
 
 
 def nominal_contact(model: Model, law: Law = "simbody") -> ContactModel:
-    """Equal spheres and equal bushings of usual values.
+    """Contact before calibration: equal spheres, equal bushings, usual values.
 
-    Where the exoskeleton's cuff is not at the human's, its bushing is
-    preloaded.
+    If a cuff sits elsewhere on the exoskeleton than on the human, the offset
+    becomes the bushing's preload.
 
     Args:
-        model: says where spheres and cuffs are.
+        model: gives the places of spheres and cuffs.
         law: of the foot-ground contact.
 
     >>> from drake_exo.model.plant import nominal_model

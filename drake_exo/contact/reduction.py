@@ -1,10 +1,10 @@
-"""Spheres whose normal forces are nearest to those of a compliant sole.
+"""Reduction of a compliant sole to spheres with nearly the same forces.
 
-A sole, simulated through a step, tells force and centre of pressure at many
-poses. The spheres' law at the same poses, at rest, is fitted by least squares
-to both, in the plane (pitch, forward) or in space. Friction is not fitted: a
-sole that sticks remembers where it stood, which a law of the velocity does not.
-Both slip at the same μ.
+The simulated step of a sole gives vertical force and centre of pressure at
+many poses. Spheres of the law "simbody", at rest in the same poses, are fitted
+to both by least squares, in the plane (pitch, forward) or in space. Friction
+is not fitted: the force of a sticking sole depends on where it stuck, which a
+law of slip velocity cannot represent. Both slip at the same coefficient μ.
 """
 
 from collections.abc import Iterable
@@ -27,25 +27,25 @@ from drake_exo.model.assembly import Person
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import CONTACT_RADIUS_M
 
-_USUAL_DEPTH_M = 0.01  # for which the law's smoothing constants are
-_LOADED = 0.1  # of the largest force: where a centre of pressure counts
-_FORCE, _COP_M = 0.03, 0.002  # errors of weight one: of F_max, and [m]
-_STARTS = 6
-_LOWER_N_M2, _UPPER_N_M2 = 1e4, 1e10
-_SD = 1.96  # of an interval of 95 %
+_USUAL_DEPTH_M = 0.01  # indentation that the default smoothing is made for
+_LOADED = 0.1  # share of the largest force above which the CoP is fitted
+_FORCE, _COP_M = 0.03, 0.002  # errors of weight one: share of F_max, and [m]
+_STARTS = 6  # first guesses of the fit
+_LOWER_N_M2, _UPPER_N_M2 = 1e4, 1e10  # bounds of the modulus
+_SD = 1.96  # standard deviations in the half-width of a 95 % interval
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Poses of a sole and what the ground did, N samples.
+    """N poses of a sole, with the ground's force and centre of pressure.
 
     Attributes:
-        origin: of the sole frame [m], (N, 3).
-        rotation: (N, 3, 3).
-        force: of the ground, upwards [N], (N,).
-        cop: centre of pressure, forward and left [m], (N, 2).
-        size: of the sole (x, y, z) [m], (3,): it lies at z <= 0.
-        middle: of the sole in its frame, forward and left [m], (2,).
+        origin: of the sole frame in the world [m], (N, 3).
+        rotation: R of the sole frame in the world, (N, 3, 3).
+        force: vertical force of the ground on the sole [N], (N,).
+        cop: centre of pressure, world x and y [m], (N, 2).
+        size: extent of the sole in x, y, z [m], (3,): it lies at z <= 0.
+        middle: x and y of the sole's middle in its frame [m], (2,).
         friction: Coulomb's coefficient μ.
     """
 
@@ -59,12 +59,12 @@ class Samples:
 
     @property
     def loaded(self) -> np.ndarray:
-        """Where the centre of pressure counts, (N,)."""
+        """Samples whose centre of pressure is fitted, (N,) bool."""
         return self.force > _LOADED * self.force.max()
 
     @property
     def depth(self) -> float:
-        """How far the undeformed sole's corners get into the ground [m]."""
+        """Deepest a corner of the undeformed sole is under the ground [m]."""
         (x, y, z), up = self.size, self.rotation[:, 2]
         lowest = self.origin[:, 2] + up @ [*self.middle, -z]
         lowest = lowest - np.abs(up[:, :2]) @ [x / 2, y / 2]
@@ -74,11 +74,11 @@ class Samples:
 def softened(
     share: float, friction: float = SimbodyConstants.static_friction
 ) -> SimbodyConstants:
-    """The law's constants for a contact that gives a share of the usual depth.
+    """Simbody's constants with smoothing for `share` of the usual indentation.
 
-    The defaults are for a heel pad that gives a centimetre: smoothing is in
-    proportion. Friction is Coulomb's, however fast the sole slips; below the
-    transition velocity this law has a slope without a viscous part, too.
+    The defaults suit a heel pad that is indented by a centimetre; smoothing is
+    scaled in proportion. Friction is Coulomb's at any speed: this law has a
+    slope below the transition velocity even without a viscous part.
     """
     usual = SimbodyConstants()
     return replace(
@@ -97,11 +97,11 @@ class SoleSphere:
 
     Attributes:
         modulus_n_m2: plane-strain modulus, of one sole [N/m²].
-        modulus_factor_95: its 95 % interval reaches so many times up and down.
-        dissipation_s_m: not fitted.
+        modulus_factor_95: f of its 95 % interval, modulus / f to modulus · f.
+        dissipation_s_m: Hunt–Crossley c [s/m]; not fitted.
         radius_m: of the sphere.
         x_m, y_m, z_m: centre in the sole's frame.
-        x_m_95, y_m_95, z_m_95: half-widths of 95 %.
+        x_m_95, y_m_95, z_m_95: half-widths of their 95 % intervals.
     """
 
     modulus_n_m2: float = schema.quantity("N/m^2", above=0.0)
@@ -120,15 +120,15 @@ class SoleSphere:
 
 @dataclass(frozen=True)
 class SoleLaw:
-    """A sole as spheres of the law "simbody": what law.yaml holds.
+    """A sole as spheres of the law "simbody": the contents of law.yaml.
 
     Attributes:
         size_m: length, width and depth of the sole below its frame [m].
         spheres: by name, of one sole, in its frame.
         constants: of the law.
-        planar: whether fitted in the plane alone.
-        force_error_rms: over the largest force.
-        cop_error_rms_m: of the centre of pressure where loaded.
+        planar: whether fitted in the plane, without y and roll.
+        force_error_rms: RMS error of the force as share of the largest force.
+        cop_error_rms_m: RMS error of the centre of pressure where loaded.
 
     >>> from drake_exo.model.plant import nominal_model
     >>> two = {"heel": SoleSphere(2e7, x_m=-0.1, z_m=0.01),
@@ -166,7 +166,7 @@ class SoleLaw:
         return schema.load(path, SoleLaw)
 
     def check_worn(self, person: Person) -> None:
-        """Refuse a person whose toes bend."""
+        """Raise InputError if the person's toes are hinged."""
         if person.toes != "rigid":
             raise InputError(
                 "foot_ground.law: the law of a sole is that of a rigid foot; "
@@ -176,14 +176,14 @@ class SoleLaw:
     def ground(
         self, model: Model, at_m: tuple[float, float] | None = None
     ) -> GroundContact:
-        """The contact of feet that wear it.
+        """Ground contact of the model's feet wearing this sole.
 
         Args:
-            model: with toes that do not bend. Its one leg stands for two,
-                which wear two soles.
-            at_m: the sole frame's origin (x, z) in the foot [m]; by default
-                it lies in the middle of the foot's own spheres, the sole's
-                bottom on the floor of the standing trial.
+            model: with rigid toes. If its one leg stands for both, the modulus
+                is that of two soles.
+            at_m: the sole frame's origin (x, z) in the foot [m]; by default x
+                is midway between the foot's own spheres, and the sole's bottom
+                on the floor of the standing trial.
 
         Raises:
             InputError: toes are hinged.
@@ -209,17 +209,17 @@ class SoleLaw:
 
 @dataclass(frozen=True)
 class Reduction:
-    """Fitted spheres and how near they are.
+    """S spheres fitted to a sole's N samples, and their forces there.
 
     Attributes:
-        samples: that they were fitted to.
+        samples: what they were fitted to.
         planar: whether y and roll were left out.
-        stiffness: plane-strain modulus of each [N/m²], (S,).
-        place: of each centre in the sole frame [m], (S, 3).
+        stiffness: plane-strain modulus of each sphere [N/m²], (S,).
+        place: centre of each in the sole frame [m], (S, 3).
         constants: of the law.
-        interval: half-widths of 95 % of log stiffness and place, (S, 4).
-        force: of the spheres, upwards [N], (N,).
-        cop: of the spheres [m], (N, 2).
+        interval: 95 % half-widths of log stiffness and place [m], (S, 4).
+        force: vertical force of the spheres at each sample [N], (N,).
+        cop: centre of pressure of the spheres [m], (N, 2).
     """
 
     samples: Samples
@@ -233,24 +233,24 @@ class Reduction:
 
     @property
     def force_error(self) -> float:
-        """RMS of the force over its largest."""
+        """RMS error of the force as share of the sole's largest force."""
         off = self.force - self.samples.force
         return float(np.sqrt(np.mean(off**2)) / self.samples.force.max())
 
     @property
     def cop_error(self) -> float:
-        """RMS of the centre of pressure where loaded [m]."""
+        """RMS error of the centre of pressure where loaded [m]."""
         off = (self.cop - self.samples.cop)[self.samples.loaded]
         off = off[:, :1] if self.planar else off
         return float(np.sqrt((off**2).sum(axis=1).mean()))
 
     @property
     def is_near(self) -> bool:
-        """Whether force and centre of pressure are within 3 % and 2 mm."""
+        """Whether these RMS errors are within 3 % and 2 mm."""
         return self.force_error <= _FORCE and self.cop_error <= _COP_M
 
     def table(self) -> dict[str, np.ndarray]:
-        """Columns over the samples, the sole's beside the spheres'."""
+        """Columns (N,): force and CoP of the sole and of the spheres."""
         mine = self.samples
         columns = {
             "force_n": mine.force,
@@ -265,7 +265,7 @@ class Reduction:
 
     @property
     def law(self) -> SoleLaw:
-        """What law.yaml says: spheres in the sole's frame."""
+        """The contents of law.yaml: spheres in the sole's frame."""
         spheres = {}
         for k, (E, (x, y, z), half) in enumerate(
             zip(self.stiffness, self.place.tolist(), self.interval.tolist(),
@@ -286,10 +286,10 @@ class Reduction:
         )
 
     def write(self, path: Path | str) -> None:
-        """Write the law, and beside it `table` as .csv.
+        """Write the law, and `table` beside it as .csv.
 
         Raises:
-            InputError: one sphere alone; it cannot be written.
+            InputError: there is one sphere alone, or writing fails.
         """
         path, text = path_of(path, "path"), schema.dump_text(self.law)
         try:
@@ -304,12 +304,12 @@ class Reduction:
 
 
 def borne(samples: Samples, stiffness, place, constants):
-    """What spheres bear at every pose at rest.
+    """Force and centre of pressure of spheres at rest in each pose.
 
     Stiffness, place and constants are those of `Reduction`.
 
     Returns:
-        Upward force of all (N,) [N], centre of pressure (N, 2) [m].
+        Sum of the vertical forces (N,) [N], centre of pressure (N, 2) [m].
     """
     turned = place @ np.swapaxes(samples.rotation, 1, 2)
     centre = samples.origin[:, None] + turned
@@ -326,9 +326,9 @@ def borne(samples: Samples, stiffness, place, constants):
 def reduce_sole(
     samples: Iterable[np.ndarray], spheres: int = 4, planar: bool = False
 ) -> Reduction:
-    """Fit spheres to a sole that was simulated, to wear them in a study.
+    """Fit spheres to a simulated sole, for use in a study of a person.
 
-    `replace` being that of `dataclasses`:
+    With `replace` from `dataclasses`:
 
     >>> import drake_exo as dx
     >>> zmp = [[0.01 * k, 0.0] for k in range(-4, 5)]
@@ -343,18 +343,17 @@ def reduce_sole(
     (True, True, True)
 
     Args:
-        samples: what `dx.soles.sole_samples` says.
-        spheres: how many.
-        planar: pitch and forward alone, as an exoskeleton's foot knows them;
-            forward is where the sole heads, in its mean.
+        samples: the result of `dx.soles.sole_samples`.
+        spheres: their number S.
+        planar: fit without y and roll, as for the foot of a planar model;
+            forward is the sole's mean heading.
 
     Returns:
-        Spheres and errors; `law` is a `SoleLaw`, `write("law.yaml")` what
-        `foot_ground.law` of a study names.
+        Spheres and errors; its `write` makes the file for `foot_ground.law`.
 
     Raises:
-        InputError: no samples of a sole, no spheres, or fewer samples that
-            differ than unknowns.
+        InputError: the samples are not a sole's, spheres < 1, or the distinct
+            samples hold fewer values than there are unknowns.
     """
     samples = list(samples) if isinstance(samples, Iterable) else [samples]
     if len(samples) < 5 or isinstance(samples[0], str):
@@ -423,9 +422,10 @@ def reduce_sole(
 
 
 def _deviations(best) -> np.ndarray:
-    """Gauss–Newton's, the residuals' own scatter as the noise.
+    """Standard deviations (m,) of the unknowns, by the Gauss–Newton Hessian.
 
-    Large where nothing is told, as of a sphere that never touches.
+    Noise is the scatter of the residuals. They are very large where the samples
+    determine nothing, as for a sphere that never touches the ground.
     """
     told, ways = np.linalg.eigh(best.jac.T @ best.jac)
     spare = max(len(best.fun) - len(best.x), 1)
@@ -434,9 +434,9 @@ def _deviations(best) -> np.ndarray:
 
 
 def _that_differ(samples: Samples) -> np.ndarray:
-    """Numbers of samples by a micrometre or a millionth apart, (K,).
+    """Indices (K,) of samples that differ by over 1 µm or a millionth.
 
-    A load that stays is one, however often.
+    Repetitions of the same pose and load count as one sample.
     """
     count = len(samples.force)
     told = np.column_stack(
@@ -449,9 +449,9 @@ def _that_differ(samples: Samples) -> np.ndarray:
 
 
 def _in_plane(samples: Samples) -> Samples:
-    """Without roll, and what lies sideways of where the sole heads.
+    """Samples projected on the vertical plane of the sole's mean heading.
 
-    In its mean; how it turns about that is left out.
+    Roll, sideways positions and yaw about the mean heading are dropped.
     """
     R = samples.rotation
     yaw = np.arctan2(-R[:, 0, 1].sum(), R[:, 0, 0].sum())
@@ -470,7 +470,7 @@ def _in_plane(samples: Samples) -> Samples:
 
 
 def _guesses(spheres: int, columns, depth: float):
-    """Spheres along the sole and to its sides, soft and stiff."""
+    """First guesses: spheres spread over the sole, soft to stiff."""
     rng = np.random.default_rng(0)
     x = np.linspace(-4.0, 4.0, spheres)
     y = np.where(np.arange(spheres) % 2, -3.0, 3.0)

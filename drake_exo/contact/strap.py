@@ -1,14 +1,14 @@
-"""A design as it is to be built: cuffs with own straps, and assistance.
+"""Design of a device as it is to be built: cuffs, straps, joints and torques.
 
-A cuff is tissue and strap in series, 1/k = 1/k_tissue + 1/k_strap. What a
-calibration finds is k; only the strap can be designed, and the tissue stays
-with the person, also where the cuff is moved. The strap of today counts as
-stiff, so that everything that was found is tissue: a new strap may soften a
-cuff, and nothing is promised that tissue would have to give.
+A cuff is tissue and strap in series, 1/k = 1/k_tissue + 1/k_strap. Calibration
+finds k. Only the strap can be designed; the tissue is the person's, and the
+same wherever the cuff is moved. The present strap counts as rigid, so all of
+the calibrated compliance is tissue: a new strap can soften a cuff, not stiffen
+it.
 
-What a designed device gives at a joint is either a factor on today's torque,
-over the joint's angle or the movement's time; or the gains of a controller,
-which adds a spring and a damper of its own. Each is linear in its coefficients.
+A joint's torque is today's (that without the design) times a factor over the
+joint's angle or over time, or a share of today's plus a controller's spring
+and damper. Both are linear in their coefficients.
 """
 
 import sys
@@ -39,7 +39,7 @@ from drake_exo.model.plant import Model
 
 
 def gain_parts(today, angle, rate) -> tuple:
-    """Torque by each of `Gains`: plain arithmetic, any kind of scalar.
+    """Derivative of the torque by each of `Gains`, for any scalar type.
 
     Args:
         today: torque without the design [N m].
@@ -52,7 +52,7 @@ def gain_parts(today, angle, rate) -> tuple:
 class _Linear:
     """A torque that is linear in its `coefficients` (k,).
 
-    `parts` gives the torque by each of them, (..., k), of what `torque` is of.
+    `parts` is its derivative by them, (..., k), with the arguments of `torque`.
     """
 
     def torque(self, today, angle, rate, share) -> np.ndarray:
@@ -62,7 +62,7 @@ class _Linear:
             today: (...) without the design [N m].
             angle: (...) of the joint [rad].
             rate: (...) of the angle [rad/s].
-            share: (...) of the movement's time that is over.
+            share: (...) elapsed share of the movement's time, 0 to 1.
         """
         return self.parts(today, angle, rate, share) @ self.coefficients
 
@@ -72,12 +72,12 @@ class Gains(_Linear):
     """Gains of a joint's controller, which adds a spring and a damper.
 
     torque = support today + constant_nm - stiffness_nm_rad angle -
-    damping_nm_s_rad rate. Neither spring nor damper is negative, so neither
-    pushes a joint off.
+    damping_nm_s_rad rate. Neither spring nor damper may be negative, so that
+    the feedback does not destabilise the joint.
 
     Attributes:
-        support: factor on today's torque.
-        constant_nm: always there.
+        support: factor on the torque without the design.
+        constant_nm: constant torque.
         stiffness_nm_rad: of a spring towards the joint's zero.
         damping_nm_s_rad: of a damper against the joint's rate.
 
@@ -93,11 +93,11 @@ class Gains(_Linear):
 
     @property
     def coefficients(self) -> np.ndarray:
-        """(4,) in this order."""
+        """The four gains (4,) in the order of the fields."""
         return np.array(astuple(self))
 
     def parts(self, today, angle, rate, share) -> np.ndarray:
-        """See _Linear; (..., 4)."""
+        """Derivative of the torque by the gains, (..., 4)."""
         found = np.broadcast_arrays(*gain_parts(today, angle, rate))
         return np.stack(found, axis=-1)
 
@@ -107,12 +107,12 @@ class Assistance(_Linear):
     """Factor on the torque of one joint of the device.
 
     Attributes:
-        factor: at each angle, linear between them and constant beyond; or,
-            over the movement, coefficients of a cubic spline (B-splines on
-            even knots, clamped).
-        angle_deg: of the joint, increasing; empty over the movement.
-        over: what the factor depends on: the joint's "angle", or how much of
-            the "movement"'s time is over.
+        factor: one at each angle, linear between and constant beyond; or, if
+            `over` is "movement", coefficients of a cubic B-spline on even,
+            clamped knots.
+        angle_deg: angles of the joint, increasing; empty for "movement".
+        over: what the factor depends on: the joint's "angle", or the elapsed
+            share of the "movement"'s time.
 
     >>> knee = Assistance((0.0, 60.0), (1.2, 0.9))
     >>> knee.torque(np.array([10.0]), np.deg2rad([30.0]), 0.0, 0.5)
@@ -144,11 +144,11 @@ class Assistance(_Linear):
 
     @property
     def coefficients(self) -> np.ndarray:
-        """The factors."""
+        """The factors (k,)."""
         return np.array(self.factor)
 
     def parts(self, today, angle, rate, share) -> np.ndarray:
-        """See _Linear."""
+        """Derivative of the torque by the factors, (..., k)."""
         if self.over == "movement":
             weights = splines(len(self.factor), share)
         else:
@@ -157,7 +157,7 @@ class Assistance(_Linear):
 
 
 def hats(angle_deg, angle: np.ndarray) -> np.ndarray:
-    """Weights (..., k) of values at k angles [deg], at angles (...) [rad]."""
+    """Weights (..., k) interpolating between k angles [deg], at (...) [rad]."""
     points = np.deg2rad(angle_deg)
     return np.stack(
         [np.interp(angle, points, row) for row in np.eye(len(points))], axis=-1
@@ -165,7 +165,7 @@ def hats(angle_deg, angle: np.ndarray) -> np.ndarray:
 
 
 def splines(count: int, share) -> np.ndarray:
-    """Weights (..., count) of a spline's coefficients, at shares (...)."""
+    """Values (..., count) of clamped B-splines at shares (...) in [0, 1]."""
     degree = min(3, count - 1)
     inner = np.linspace(0.0, 1.0, count - degree + 1)
     knots = np.pad(inner, degree, mode="edge")
@@ -179,15 +179,15 @@ def GainController_(T):
     """See `GainController`."""
 
     class Impl(LeafSystem_[T]):
-        """Gains on what a device gives today.
+        """Controller of a device's m joints with the torques of `Gains`.
 
         Input exoskeleton_state (2 m): angles [rad], then rates [rad/s] of the
-        device's joints; today_torques (m): what its own controller asks for
-        [N m], zero where not connected. Output exoskeleton_torques (m) [N m].
-        Numeric parameters: of each joint its `Gains`, in their order.
+        device's joints; today_torques (m): torques of its present controller
+        [N m], zero if not connected. Output exoskeleton_torques (m) [N m].
+        Numeric parameters: a vector for each joint, the fields of its `Gains`.
 
         Args of the constructor:
-            gains: (m) of the joints; a context starts with these.
+            gains: (m) `Gains` of the joints; a context starts with these.
 
         >>> knee = Gains(0.5, stiffness_nm_rad=8.0)
         >>> controller = GainController([knee])
@@ -231,30 +231,30 @@ __getattr__ = made_on_demand(globals())
 
 
 DESIGN = "design.yaml"
-TODAY = "today"  # folder there of the contact that it changes
+TODAY = "today"  # folder beside it, with the contact before the design
 EXTRAPOLATED = "EXTRAPOLATED beyond what was calibrated"
-# What a strap may be at its softest; below, cuffs are no cuffs any more.
+# Lower bounds of a strap's stiffness; softer, a cuff no longer holds a limb.
 SOFTEST_N_M = 1000.0
 SOFTEST_NM_RAD = 5.0
-# From here on, a strap adds next to nothing to what tissue gives.
+# From this stiffness on a strap adds next to no compliance to the tissue.
 STIFF = {"N/m": 5e5, "N m/rad": 5e3}
-# A cuff's stiffness -> the strap that is in series with it.
+# A cuff's stiffness -> field of `CuffDesign` for the strap in series with it.
 STRAPS = {
     "tangential_stiffness": "strap_tangential_n_m",
     "normal_stiffness": "strap_normal_n_m",
     "rotational_stiffness": "strap_rotational_nm_rad",
 }
-# Stiffness of springs side by side grows with their area, in rotation with
-# its square: the lever grows, too.
+# Exponent of the skin's area in each stiffness: springs in parallel add up;
+# in rotation it is squared, since their lever arm grows as well.
 _BY_AREA = {
     "tangential_stiffness": 1,
     "normal_stiffness": 1,
     "rotational_stiffness": 2,
 }
 BY_AREA = tuple(_BY_AREA.values())
-# What takes a spring away -> which.
+# Release of a cuff -> stiffness that it takes away.
 RELEASES = {"slide": "tangential_stiffness", "hinge": "rotational_stiffness"}
-# What is moved -> by how much.
+# Field of `BushingParameters` -> field of `CuffDesign` added to it.
 PLACES = {
     "origin_x": "across_m",
     "origin_z": "along_m",
@@ -265,19 +265,19 @@ PLACES = {
 
 @dataclass(frozen=True)
 class CuffDesign:
-    """One cuff, against the one that was calibrated.
+    """Changes of one cuff against the calibrated one.
 
     Attributes:
-        removed: whether it is left out; then all else is void.
+        removed: whether it is left out; all else is then ignored.
         along_m, across_m: how far it moves up the limb, and forwards.
         preload_along_m, preload_across_m: how far the device's half alone is
-            shifted, so that the cuff presses where both were aligned.
-        area: of skin against today's; tissue under it is springs side by side.
-        slide, hinge: share of the spring along the limb, and of that in
-            rotation, which a passive slide or hinge takes away: 1 for one
-            that moves freely.
+            shifted, so that the cuff presses while the chains are aligned.
+        area: area of skin as a factor on the present one; the tissue under it
+            acts as springs in parallel.
+        slide, hinge: share of the tangential, and of the rotational, spring
+            that a passive slide or hinge takes away: 1 if it moves freely.
         strap_tangential_n_m, strap_normal_n_m, strap_rotational_nm_rad:
-            strap put in series; null for one that adds nothing.
+            stiffness of the strap in series; null: rigid.
 
     >>> soft = CuffDesign(along_m=0.05, strap_normal_n_m=5000.0)
     >>> built = soft.built(BushingParameters(origin_z=0.25))
@@ -304,7 +304,7 @@ class CuffDesign:
     )
 
     def built(self, cuff: BushingParameters) -> BushingParameters:
-        """The cuff with this strap, at this place."""
+        """The calibrated bushing with these changes."""
         moved = {k: getattr(cuff, k) + getattr(self, PLACES[k]) for k in PLACES}
         stiffness = {
             k: self.held(k)
@@ -317,18 +317,18 @@ class CuffDesign:
         return replace(cuff, **moved, **stiffness)
 
     def held(self, stiffness: str) -> float:
-        """Share of a spring that no slide or hinge takes away, by its name."""
+        """Share of a stiffness, by name, that no slide or hinge takes away."""
         taken = (k for k, spring in RELEASES.items() if spring == stiffness)
         return 1.0 - sum(getattr(self, k) for k in taken)
 
 
 @dataclass(frozen=True)
 class JointDesign:
-    """Where a joint of the device is, against the wearer's.
+    """Shift of a joint of the device from its present place.
 
     Attributes:
-        along_m, across_m: in the link below it, up and forwards; what is
-            above moves along.
+        along_m, across_m: up and forwards in the link below the joint; all
+            that is above moves with it.
     """
 
     along_m: float = quantity("m", 0.0)
@@ -337,13 +337,13 @@ class JointDesign:
 
 @dataclass(frozen=True)
 class Design:
-    """What a design changes, as `design.yaml` holds it.
+    """All changes of a design, as `design.yaml` holds them.
 
     Attributes:
-        cuffs: those that change, by name.
+        cuffs: cuff -> its changes.
         assistance: joint of the device -> factor on its torque.
-        gains: joint of the device -> of its controller, instead.
-        joints: of the shipped device that are moved: exo_knee, exo_hip.
+        gains: joint of the device -> gains of a controller, instead of that.
+        joints: joint of the shipped device (exo_knee, exo_hip) -> its shift.
 
     >>> Design().cuffs
     {}
@@ -363,7 +363,7 @@ class Design:
 
     @property
     def given(self) -> dict[str, Assistance | Gains]:
-        """Joint -> what its torque is, of those that it says something of."""
+        """Joint -> its assistance or gains; other joints stay as today."""
         return {**self.assistance, **self.gains}
 
     def torques(
@@ -373,10 +373,10 @@ class Design:
 
         Args:
             joints: (m,) names.
-            today: (..., m) what they would give without the design [N m].
+            today: (..., m) torques without the design [N m].
             angles: (..., m) [rad].
             rates: (..., m) [rad/s].
-            share: (...) of the movement's time that is over.
+            share: (...) elapsed share of the movement's time, 0 to 1.
         """
         if not self.given:
             return today
@@ -395,7 +395,7 @@ class Design:
         return tuple(n for n, cuff in self.cuffs.items() if cuff.removed)
 
     def check(self, model: Model) -> None:
-        """Refuse a design of another device, or one that holds nothing.
+        """Check that the design fits the model's device and leaves it held.
 
         Raises:
             InputError: it names a cuff or joint that the model has not, or
@@ -424,10 +424,10 @@ class Design:
                 )
 
     def model(self, model: Model) -> Model:
-        """The model with the device's cuffs and joints where they are built.
+        """The model with the device's cuffs and joints as designed.
 
-        A device from a file of its own stays as that file says, but for cuffs
-        that are left out.
+        A device from a file of the user's own stays as in that file, except
+        for cuffs that are left out.
         """
         if self.removed:
             model = replace(model, kind=model.assembly.opened(self.removed))
@@ -453,7 +453,7 @@ class Design:
     def bushings(
         self, cuffs: Mapping[str, BushingParameters]
     ) -> dict[str, BushingParameters]:
-        """Cuffs as they are built."""
+        """Cuff -> its bushing as designed, without those left out."""
         return {
             name: self.cuffs[name].built(cuff) if name in self.cuffs else cuff
             for name, cuff in cuffs.items()
@@ -461,11 +461,11 @@ class Design:
         }
 
     def contact(self, contact: ContactModel) -> ContactModel:
-        """The contact with these cuffs, as sure as it was before.
+        """The contact with these cuffs, and its posterior carried over.
 
-        What is not known of the tissue is known no better where a cuff
-        moves: the share s of a stiffness a k in series with a strap has the
-        derivative (k_built/k)^2/(s a) by k.
+        Uncertainty of the tissue is the same wherever a cuff moves. A built
+        stiffness k_built, the share s (see `held`) of a k (a for the area) in
+        series with a strap, has the derivative (k_built/k)^2/(s a) by k.
         """
         built = replace(contact, bushings=self.bushings(contact.bushings))
         known = contact.posterior
@@ -495,7 +495,7 @@ class Design:
         )
 
 
-# Joint that may be moved -> key of where it is.
+# Joint that may be moved -> field of `ExoskeletonParameters` for its offset.
 MOVABLE = {"exo_knee": "knee_off_m", "exo_hip": "hip_off_m"}
 
 
@@ -507,13 +507,13 @@ def movable(model: Model) -> tuple[str, ...]:
 
 
 def links_above(model: Model, joint: str) -> list[str]:
-    """Links of the device beyond one of its joints: they turn with it."""
+    """Links of the device beyond one of its joints, which turn with it."""
     tree, column = model.tree, model.coordinates.index(joint)
     return [link for link in tree.names if tree.turning(link)[column]]
 
 
 def weight_above(model: Model, joint: str) -> float:
-    """Of those links [N]."""
+    """Weight of `links_above` [N]."""
     device = model.exoskeleton
     masses = [
         getattr(device, link.removeprefix(DEVICE)).mass_kg
@@ -526,8 +526,8 @@ def device_sdf(model: Model, design: Design) -> str | None:
     """SDF of the fitted device with its cuffs and joints moved, or removed.
 
     Returns:
-        None of a device from a file of its own, or of none: where its cuffs
-        are, that file says.
+        None without a device, or if it comes from a file of the user's own,
+        which says itself where cuffs are.
 
     >>> from drake_exo.model.plant import nominal_model
     >>> moved = Design({"thigh": CuffDesign(along_m=0.02)})
@@ -543,7 +543,7 @@ def device_sdf(model: Model, design: Design) -> str | None:
 
 
 def in_series(stiffness: float, strap: float | None) -> float:
-    """Stiffness of a cuff with a strap in series; None for a stiff one."""
+    """Stiffness of a cuff with a strap in series; None: a rigid strap."""
     if strap is None or stiffness == 0.0:
         return stiffness
     return 1.0 / (1.0 / stiffness + 1.0 / strap)
@@ -556,7 +556,7 @@ def read_design(folder: str | Path) -> Design:
         folder: its --out folder, or the file itself.
 
     Raises:
-        InputError: it is missing, or says something that is not allowed.
+        InputError: the file is missing, or a key or value is invalid.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -571,7 +571,7 @@ def read_design(folder: str | Path) -> Design:
 def write_design(
     folder: str | Path, design: Design, name: str = DESIGN
 ) -> None:
-    """Write what `read_design` reads."""
+    """Write a design into a folder, for `read_design`."""
     text = schema.dump_text(design)
     (Path(folder) / name).write_text(
         "# What is to be built; predict --design and lab --design read it.\n"

@@ -1,15 +1,16 @@
-"""LeafSystems of the contacts and of joints' controllers, for a diagram.
+"""LeafSystems for a diagram: contacts, the chair and controllers of joints.
 
-Foot and ground, human and device, and the chair's measured wrench. A planar
-pose is (x, z, angle), a planar motion (v_x, v_z, rate): x forward, z up,
-angle toes-up positive (counter-clockwise seen from the right, about world −y).
+Contacts are those of foot with ground and human with device; the chair applies
+a measured wrench. A planar pose is (x, z, angle), a planar motion (v_x, v_z,
+rate): x forward, z up, angle toes-up positive (counter-clockwise seen from the
+right, about world −y).
 
-Of the controllers one tracks and one assists, an example to start from: an
-assist controller for predictions is a LeafSystem without state, with the input
-exoskeleton_state (angles, then rates of the device's joints) and the output
+`TrackingController` follows a reference. `AssistController` is an example of
+an assist controller for predictions: a LeafSystem without state, with the
+input exoskeleton_state (angles, then rates of the device's joints) and output
 exoskeleton_torques [N m], defined with TemplateSystem so that it converts to
-AutoDiffXd. `drake-exo predict --controller MODULE:NAME` puts it into the
-program itself.
+AutoDiffXd. `drake-exo predict --controller MODULE:NAME` puts such a controller
+into the optimisation itself.
 """
 
 import functools
@@ -54,9 +55,9 @@ from drake_exo.errors import InputError, check_fields
 
 
 def made_on_demand(scope: dict) -> Callable[[str], type]:
-    """`__getattr__` of a module: the float system of its template `NAME_`.
+    """A module's `__getattr__`: NAME is the float system of template `NAME_`.
 
-    Made as NAME is asked for: Drake looks through all modules for each.
+    Made on first use only, because Drake searches all modules for each.
 
     Args:
         scope: The module's globals.
@@ -87,7 +88,7 @@ def declare_body_inputs(system: LeafSystem, T) -> None:
 
 
 def declare_force_output(system: LeafSystem, T, calc) -> None:
-    """Declares "spatial_forces" for a plant's applied_spatial_force port."""
+    """Declares "spatial_forces", for the plant's applied_spatial_force."""
     entry = ExternallyAppliedSpatialForce_[T]
     system.DeclareAbstractOutputPort(
         "spatial_forces", lambda: AbstractValue.Make([entry()]), calc
@@ -95,14 +96,14 @@ def declare_force_output(system: LeafSystem, T, calc) -> None:
 
 
 def _produced(calc) -> ValueProducer:
-    """Of a Python object that `calc` computes."""
+    """A producer of the Python object that `calc` computes."""
     return ValueProducer(
         allocate=lambda: AbstractValue.Make(object()), calc=calc
     )
 
 
 def _declare_values(system: LeafSystem, calc):
-    """A cache entry that follows from the context's parameters alone."""
+    """Declares a cache entry that depends on numeric parameters alone."""
     return system.DeclareCacheEntry(
         "values", _produced(calc), {system.all_parameters_ticket()}
     )
@@ -117,11 +118,11 @@ class BodyState(NamedTuple):
 
 
 def read_bodies(system: LeafSystem, context, bodies) -> list[BodyState]:
-    """States of bodies, from the ports above.
+    """States of bodies, from the ports of `declare_body_inputs`.
 
     Args:
-        system: that declared the ports.
-        context: of it.
+        system: the system that declared the ports.
+        context: of that system.
         bodies: body indices.
     """
     poses = system.GetInputPort("body_poses").Eval(context)
@@ -148,16 +149,16 @@ def to_world(position, direction, x, z):
 
 
 def to_body(position, direction, x, z):
-    """Inverse of `to_world`."""
+    """Point (x, z) of the world in a body's axes; inverse of `to_world`."""
     c, s = direction
     dx, dz = x - position[0], z - position[1]
     return c * dx + s * dz, c * dz - s * dx
 
 
 def planar_poses(first: BodyState, second: BodyState) -> tuple:
-    """(x, z, angle) of two bodies; their angles never jump apart.
+    """(x, z, angle) of two bodies, angles on the same branch.
 
-    That of the first is in (−π, π], that of the second within π of it.
+    The first angle is in (−π, π], the second within π of the first.
     """
     (c, s), (c_2, s_2) = first.direction, second.direction
     angle = arctan2(s, c)
@@ -167,7 +168,7 @@ def planar_poses(first: BodyState, second: BodyState) -> tuple:
 
 @functools.cache
 def _force_types(T) -> tuple:
-    """Classes of an entry and of its force; looking them up is slow."""
+    """Drake's classes of `applied_force`; looking them up is slow."""
     return ExternallyAppliedSpatialForce_[T], SpatialForce_[T]
 
 
@@ -191,7 +192,7 @@ def applied_force(T, body, point, force, moment=0.0):
 
 
 def opposite_forces(T, pair, links, wrench) -> list:
-    """Entries of a bushing's force: on the human, and opposite on the device.
+    """Applied forces of a bushing: on the human, and opposite on the device.
 
     Args:
         T: scalar type.
@@ -244,7 +245,7 @@ def foot_contact(
 
 
 def ground_reaction(wrenches: Sequence[SphereWrench]) -> list:
-    """F_x, F_z [N] and M_y about the world's origin [N·m], sums of spheres'.
+    """F_x, F_z [N] and M_y about the world's origin [N·m], summed over spheres.
 
     M_y = z F_x − x F_z, so the centre of pressure on z = 0 is −M_y/F_z.
     """
@@ -253,7 +254,7 @@ def ground_reaction(wrenches: Sequence[SphereWrench]) -> list:
 
 
 class _FootGroundContact:
-    """What `FootGroundContact_` does for every scalar type."""
+    """The part of `FootGroundContact_` that is the same for all scalars."""
 
     def _declare(self, T, body: BodyIndex, parameters: GroundContact):
         self._T = T
@@ -264,7 +265,7 @@ class _FootGroundContact:
         for values in (*parameters.spheres.values(), parameters.constants):
             self.DeclareNumericParameter(BasicVector_[T](astuple(values)))
         self._values = _declare_values(self, self._calc_values)
-        # Forces and what a controller sees of them are evaluated once.
+        # Shared by all outputs, so wrenches are computed once.
         self._wrenches = self.DeclareCacheEntry(
             "wrenches", _produced(self._calc_wrenches)
         )
@@ -291,7 +292,7 @@ class _FootGroundContact:
         )
 
     def set_parameters(self, context, parameters: GroundContact) -> None:
-        """Writes parameters into a context: same law, same spheres.
+        """Writes parameters of the same law and spheres into a context.
 
         Raises:
             InputError: law or names of the spheres differ, or a value is out
@@ -312,7 +313,7 @@ class _FootGroundContact:
             )
 
     def _held(self, context) -> tuple[list[list], Constants]:
-        """Values of each sphere, and the constants."""
+        """Values of each sphere and the constants, from a context."""
         *spheres, constants = (
             context.get_numeric_parameter(i).CopyToVector().tolist()
             for i in range(len(self._parameters.spheres) + 1)
@@ -355,7 +356,7 @@ class _FootGroundContact:
         output.SetFromVector([x for wrench in wrenches for x in wrench])
 
 
-# Without a scope Drake walks through all modules to find this one.
+# The scope is given so that Drake need not search all modules for it.
 @TemplateSystem.define("FootGroundContact_", scope=sys.modules[__name__])
 def FootGroundContact_(T):
     """See `FootGroundContact`."""
@@ -368,9 +369,9 @@ def FootGroundContact_(T):
         Outputs:
             spatial_forces: for a plant's applied_spatial_force port.
             ground_reaction: F_x, F_z [N] on the foot and the moment
-                M_y = z F_x − x F_z about the world's origin [N·m], sums.
-            sphere_wrenches: F_x, F_z [N], x, z of the contact point [m] of each
-                sphere in turn.
+                M_y = z F_x − x F_z about the world's origin [N·m], summed
+                over spheres.
+            sphere_wrenches: F_x, F_z [N], contact point x, z [m], by sphere.
         Numeric parameters:
             a vector for each sphere (SPHERE_PARAMETERS), then one with the
             law's constants (in the order of their fields).
@@ -405,7 +406,7 @@ def _check_bushings(parameters: Mapping[str, BushingParameters]) -> None:
 
 
 class _Bushings:
-    """What `HumanExoskeletonBushings_` does for every scalar type."""
+    """The part of `HumanExoskeletonBushings_` common to all scalars."""
 
     def _declare(self, T, pairs, parameters):
         if not parameters or set(pairs) != set(parameters):
@@ -467,7 +468,7 @@ class _Bushings:
         output.set_value(list(self.parameters(context).values()))
 
     def _evaluate(self, context) -> Iterator[tuple]:
-        """Of each bushing links, their planar poses, parameters, d and F."""
+        """For each bushing: (links, poses, parameters, deflection, force)."""
         bodies = [body for pair in self._pairs.values() for body in pair]
         states = iter(read_bodies(self, context, bodies))
         known = self._values.Eval(context)
@@ -530,7 +531,7 @@ def HumanExoskeletonBushings_(T):
         Outputs, three values (tangential, normal, rotation) for each bushing:
             interaction_forces: on the human [N, N, N·m].
             deflections: [m, m, rad].
-            energies: ½ k d² [J] of what does not slip.
+            energies: ½ k d² [J], d without what has slipped.
         and spatial_forces, for a plant's applied_spatial_force port.
         Numeric parameters:
             a vector for each bushing (fields of `BushingParameters`).
@@ -568,13 +569,12 @@ def HumanExoskeletonBushings_(T):
     "Chair_", T_list=[float, AutoDiffXd], scope=sys.modules[__name__]
 )
 def Chair_(T):
-    """A wrench about the world's origin over time, on bodies by share.
+    """A recorded wrench over time, shared among bodies.
 
-    What acts on a body is the equivalent force and moment at its origin,
-    wherever it is. Between samples the wrench is a cubic spline; before the
-    first and after the last it is theirs. A time series has no symbolic form:
-    diagrams with a chair convert to AutoDiffXd (whose derivatives by time it
-    leaves out), not to Expression.
+    Each body receives its share as the equivalent force and moment at its
+    origin. The wrench is a cubic spline between samples, constant before the
+    first and after the last. A time series has no symbolic form: diagrams with
+    a chair convert to AutoDiffXd (without derivatives by time), not Expression.
 
     Inputs, to be connected to the plant's ports of the same name:
         body_poses, body_spatial_velocities.
@@ -586,7 +586,7 @@ def Chair_(T):
     Args of the constructor:
         bodies: body index -> share of the wrench; shares sum to 1.
         times: (n,) increasing [s].
-        wrench: (n, 3) F_x, F_z, M_y.
+        wrench: (n, 3) F_x, F_z [N], M_y [N m] about the world's origin.
 
     Raises:
         InputError: shares that do not sum to 1, or shapes that differ.
@@ -661,8 +661,8 @@ class TrackingController(LeafSystem):
 
     Args:
         times: (n,) [s]; before and after them the ends are held.
-        q, v, a: (n, nq) reference; between its times v goes as v and a say,
-            so that feedback does not ask for a speed that nobody meant.
+        q, v, a: (n, nq) reference; v and a set the slopes between the times,
+            so that interpolation asks for no speed that is not in it.
         torque: (n, n_joints) feed-forward [N m]; hinges are the last
             coordinates.
         stiffness: of the feedback [N m/rad].
@@ -683,7 +683,7 @@ class TrackingController(LeafSystem):
         q, v, a = (x[:, hinges] for x in (q, v, a))
         self._ends = times[0], times[-1]
         self._torque = CubicSpline(times, torque)
-        # Of q and v together: the torque that feedback gives to its reference.
+        # The reference's part of the feedback torque, with its time derivative.
         self._held = CubicHermiteSpline(
             times, stiffness * q + damping * v, stiffness * v + damping * a
         )
@@ -706,14 +706,14 @@ def AssistController_(T):
     """See `AssistController`."""
 
     class Impl(LeafSystem_[T]):
-        """Gravity-like support at knee and hip that fades as they extend.
+        """Support of knee and hip, as against gravity, fading as they extend.
 
-        torque = -support sin(angle) - damping rate, at knee and hip; flexion is
-        positive, so support extends.
+        torque = -support sin(angle) - damping rate at knee and hip. Flexion is
+        positive, so the support extends the joints.
 
         Args of the constructor:
-            knee_nm, hip_nm: support at a right angle, both legs [N m]; 15.
-            damping: [N m s/rad]; 0.5.
+            knee_nm, hip_nm: support at 90°, both legs [N m]; default 15.
+            damping: [N m s/rad]; default 0.5.
 
         Input exoskeleton_state (6): ankle, knee, hip [rad], then rates [rad/s].
         Output exoskeleton_torques (3): ankle, knee, hip [N m].
