@@ -1,9 +1,9 @@
-"""Which bodies a model has, and where they are joined and touch.
+"""Which bodies a model has, how they are joined and what touches the ground.
 
-A person of one leg (both as one) or two, with stiff or hinged toes; a device
-from a file, welded to the person somewhere and held by cuffs elsewhere; and
-the spheres that touch the ground. No numbers of the subject, and no pydrake
-here.
+A person has one leg (for both) or two, with rigid or hinged toes; a device
+comes from a file, is welded to some segments of the person and held by cuffs
+on others; spheres touch the ground. The subject's masses and lengths are in
+`segments`. This module does not import pydrake.
 """
 
 from collections.abc import Iterable
@@ -45,34 +45,34 @@ class Person:
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """Of the legs that move on their own; none for one leg."""
+        """Sides of the legs; empty if one leg stands for both."""
         return SIDES if self.legs == "two" else ()
 
     @property
     def suffixes(self) -> tuple[str, ...]:
-        """What names of a leg's parts end with, leg by leg."""
+        """Ending of each leg's names, "" if one leg stands for both."""
         return tuple(f"_{side}" for side in self.sides) or ("",)
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Segments of a leg, from above."""
+        """Segments of a leg, from the thigh down."""
         toes = ("toes",) if self.toes == "hinged" else ()
         return ("thigh", "shank", "foot", *toes)
 
     @property
     def root(self) -> str:
-        """Segment whose place and pitch are coordinates."""
+        """Segment whose x, z and pitch are the first coordinates."""
         return "pelvis" if self.legs == "two" else "foot"
 
     @property
     def segments(self) -> tuple[str, ...]:
-        """All of them by name."""
+        """Names of all segments."""
         legs = (p + end for end in self.suffixes for p in self.parts)
         return ("pelvis", *legs)
 
     @property
     def soles(self) -> dict[str, tuple[str, ...]]:
-        """Segment -> its spheres, if nothing else is said."""
+        """Segment -> names of its contact spheres by default."""
         if self.toes == "rigid":
             return {f"foot{end}": ("heel", "toe") for end in self.suffixes}
         found: dict[str, tuple[str, ...]] = {}
@@ -82,7 +82,7 @@ class Person:
         return found
 
     def feet(self, bodies) -> dict[str, tuple[str, ...]]:
-        """Side ("both" for one leg) -> those bodies that are its own."""
+        """Side ("both" for one leg) -> those of the bodies on that side."""
         if not self.sides:
             return {"both": tuple(bodies)}
         return {
@@ -147,14 +147,14 @@ class DeviceFile:
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """The device's name in messages."""
         return (
             "the shipped exoskeleton" if self.file is None else self.file.name
         )
 
     @property
     def kind(self) -> str:
-        """Of the text, as Drake's parser calls it."""
+        """Format of the text, as Drake's parser calls it: "sdf" or "urdf"."""
         return "sdf" if self.file is None else self.file.suffix[1:].lower()
 
     @property
@@ -243,7 +243,7 @@ class Assembly:
             )
 
     def _named(self, body: str):
-        """Spheres of a segment as `ground` has them, or the other leg's."""
+        """Spheres of a segment in `ground`; "same" becomes the other leg's."""
         named = self.ground[body]
         if named != "same":
             return named
@@ -266,7 +266,7 @@ class Assembly:
 
     @property
     def spheres(self) -> dict[str, dict[str, Point | None]]:
-        """Segment -> sphere -> its own place (x, z), None for the usual."""
+        """Segment -> sphere -> place (x, z) [m], None for the usual one."""
         found = {}
         for body, named in (self.ground or self.human.soles).items():
             own = named if isinstance(named, dict) else dict.fromkeys(named)
@@ -275,11 +275,11 @@ class Assembly:
 
     @property
     def closed(self) -> tuple[str, ...]:
-        """Cuffs that bear something."""
+        """Names of the cuffs that are not open."""
         return tuple(n for n, cuff in self.cuffs.items() if not cuff.open)
 
     def opened(self, names: Iterable[str]) -> "Assembly":
-        """The same with cuffs that are left out."""
+        """The same with the cuffs named opened, so that they bear nothing."""
         found = {n: replace(self.cuffs[n], open=True) for n in names}
         return replace(self, cuffs=self.cuffs | found)
 
@@ -290,7 +290,7 @@ class Assembly:
 
 
 def without_side(part: str) -> str:
-    """What a sphere or segment is on either leg.
+    """Name of a sphere or segment without its leg's side.
 
     >>> without_side("heel_left"), without_side("heel")
     ('heel', 'heel')
@@ -300,7 +300,7 @@ def without_side(part: str) -> str:
 
 
 _SHIPPED = ("foot", *CUFFED)
-# The three that ship: two chains on one foot; the device welded on; alone.
+# Shipped models: device on cuffs, device welded on, person alone.
 COUPLED = Assembly(
     device=DeviceFile({"exo_foot": "foot"}),
     cuffs={name: CuffLinks(name, f"exo_{name}") for name in CUFFED},

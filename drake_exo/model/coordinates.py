@@ -1,7 +1,7 @@
 """Names of a planar model's coordinates, read from its plant.
 
-Nobody else knows where in an array the hip stands, or which hinges are the
-device's: arrays are cut with the columns of this class.
+Only this class knows which column of an array is the hip, or which hinges are
+the device's; all other code takes its columns from here.
 """
 
 from dataclasses import dataclass
@@ -18,15 +18,15 @@ _ROOT = ("x", "z", "pitch")
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Coordinates of a tree whose root stands on the ground.
+    """Names of a planar floating tree's coordinates, and their columns.
 
     Attributes:
         names: (nq,) in the order of the plant's positions: x, z and pitch of
             the root, then the hinges.
         device: the hinges that are the device's; the others are the human's.
-        coupling: how far each of the device's hinges turns with each of the
-            human's, while the device moves as the human does; empty where a
-            device's hinge turns as the human's hinge that its name ends in.
+        coupling: one row for each hinge of the device: its rotation per
+            rotation of each of the human's hinges while the device follows
+            the human. Empty: it turns with the hinge that its name ends in.
 
     >>> names = Coordinates(("x", "z", "pitch", "ankle"))
     >>> names.joints, names.index("pitch")
@@ -42,7 +42,7 @@ class Coordinates:
 
     @property
     def root(self) -> tuple[str, ...]:
-        """The root's three."""
+        """Names of the root's three coordinates."""
         return self.names[: len(_ROOT)]
 
     @property
@@ -57,7 +57,7 @@ class Coordinates:
 
     @property
     def body(self) -> tuple[str, ...]:
-        """Root and the human's hinges: those of the model without a device."""
+        """Root and human's hinges: coordinates of the model without device."""
         return self.root + self.human
 
     def index(self, name: str) -> int:
@@ -79,22 +79,22 @@ class Coordinates:
 
     @cached_property
     def root_columns(self) -> np.ndarray:
-        """Places of the root's three in arrays (n, nq)."""
+        """Columns of `root` in arrays (n, nq)."""
         return self.columns(self.root)
 
     @cached_property
     def joint_columns(self) -> np.ndarray:
-        """Places of all hinges in arrays (n, nq)."""
+        """Columns of `joints` in arrays (n, nq)."""
         return self.columns(self.joints)
 
     @cached_property
     def body_columns(self) -> np.ndarray:
-        """Places of `body` in arrays (n, nq)."""
+        """Columns of `body` in arrays (n, nq)."""
         return self.columns(self.body)
 
     @cached_property
     def device_columns(self) -> np.ndarray:
-        """Places of the device's hinges in arrays (n, nq)."""
+        """Columns of `device` in arrays (n, nq)."""
         return self.columns(self.device)
 
     @cached_property
@@ -127,10 +127,10 @@ class Coordinates:
 
     @cached_property
     def turned_by(self) -> np.ndarray:
-        """How the device's hinges turn with the human's (device's, human's).
+        """`coupling` as matrix, (device's hinges, human's hinges).
 
         Raises:
-            InputError: a hinge ends like none of the human's.
+            InputError: a hinge's name ends in none of the human's.
         """
         rows = np.zeros((len(self.device), len(self.human)))
         if self.coupling:
@@ -147,21 +147,21 @@ class Coordinates:
         return rows
 
     def follows(self, name: str) -> str | None:
-        """The human's hinge beside which a device's hinge `name` sits.
+        """The human's hinge that the device's hinge `name` mostly turns with.
 
-        None where it stands still while the human moves, as a pad's pivot.
+        None if it does not turn while the human moves, like a pad's pivot.
 
         Raises:
-            InputError: there is none.
+            InputError: as `turned_by`.
         """
         row = np.abs(self.turned_by[self.device.index(name)])
         return self.human[int(np.argmax(row))] if row.any() else None
 
     def joined(self, human: np.ndarray, device: np.ndarray) -> np.ndarray:
-        """Columns of human and device side by side, in the order of names.
+        """Columns of human and device joined, in the order of `names`.
 
-        A plant numbers hinges along its branches: a device's may lie between
-        the human's.
+        A plant numbers hinges along its branches, so those of the device may
+        lie between those of the human.
 
         Args:
             human: (n, .) of `body`, or of `human`.
@@ -172,7 +172,7 @@ class Coordinates:
         return both[:, np.argsort(columns[len(self) - both.shape[1] :])]
 
     def aligned(self, body: np.ndarray) -> np.ndarray:
-        """All coordinates (n, nq) of a device that moves as the human does.
+        """All coordinates (n, nq) while the device follows the human.
 
         Args:
             body: (n, len(self.body)) coordinates of `body`.
@@ -184,8 +184,8 @@ class Coordinates:
 def read_coordinates(plant: MultibodyPlant) -> Coordinates:
     """Coordinates of a finalized plant whose root has a planar joint.
 
-    Hinges of the model instance that the root belongs to are the human's,
-    those of others the device's.
+    Hinges of the root's model instance are the human's, all others the
+    device's.
 
     Raises:
         ValueError: the first joint is not planar, or one that follows is no

@@ -1,14 +1,13 @@
 """The model files, fitted to one subject by rewriting their numbers.
 
 The SDF files hold links of a nominal adult and of an exoskeleton that fits
-this adult. There is one way of scaling: mass properties and frames are taken
-from the parameters; visuals are stretched with the segment they are drawn on.
-No pydrake here, so that reading parameters costs nothing.
+this adult. For a subject, mass properties and frames are taken from the
+parameters, and visuals are stretched with the segment they are drawn on. This
+module does not import pydrake, which takes long to load.
 
-The person has one leg or two, with or without toes: human.sdf holds the links
-of both legs as one. Two legs are that leg twice, each with half its mass and
-inertia; toes are cut from the foot at its ball, so that foot and toes together
-weigh and balance as the foot did.
+human.sdf holds the links of both legs as one. Two legs are that leg twice, each
+with half its mass and inertia. Hinged toes are cut from the foot at its ball,
+so that foot and toes together have the foot's mass, centre of mass and inertia.
 """
 
 import copy
@@ -34,13 +33,13 @@ from drake_exo.model.segments import (
     with_overrides,
 )
 
-# Ours: the metatarsal heads lie at 72 % of the foot's length from the heel
-# (22 % of it are behind the ankle), the sphere under them a little behind;
-# toes are 14 % of the foot's mass, as in OpenSim's gait models.
+# Own choice, x in parts of the foot's length from the ankle: the metatarsal
+# heads lie at 72 % from the heel, which is 22 % behind the ankle; the sphere
+# lies a little behind them. Toes are 14 % of its mass as in OpenSim's models.
 _BALL_JOINT, _BALL_SPHERE = 0.50, 0.47
 _TOE_MASS = 0.14
 _TOE_TIP = 0.78
-# Rod about its middle.
+# Inertia of a rod about its middle, in parts of mass times length squared.
 _ROD = 1.0 / 12.0
 
 
@@ -49,10 +48,10 @@ class Hinge:
     """A hinge of the person.
 
     Attributes:
-        name: of its coordinate.
-        parent, child: frames that meet there.
-        axis: 1 where the child turns toes down (about +y) as it grows, -1
-            where it turns toes up.
+        name: name of its coordinate.
+        parent, child: frames that it joins.
+        axis: 1 if a growing coordinate turns the child toes down (about +y),
+            -1 if toes up.
     """
 
     name: str
@@ -98,7 +97,7 @@ def ball_m(human: HumanParameters) -> tuple[float, float]:
 def soles(
     human: HumanParameters, person: Person
 ) -> dict[str, dict[str, tuple[float, float]]]:
-    """Segment -> its spheres' usual centres (x, z) in it [m]."""
+    """Segment -> sphere -> usual centre (x, z) in the segment [m]."""
     ball = (_BALL_SPHERE * human.foot.length_m, human.toe_m[1])
     parts = {"foot": {"heel": human.heel_m, "ball": ball, "toe": human.toe_m}}
     if person.toes == "hinged":
@@ -114,7 +113,7 @@ def soles(
 def assembled(
     model: ET.Element, human: HumanParameters, person: Person
 ) -> None:
-    """Turn the one leg of human.sdf into the person's, in place."""
+    """Turn the one leg of human.sdf into the person's legs, in place."""
     inner = model.find("model")
     if person.toes == "hinged":
         _cut_toes(inner, human)
@@ -134,7 +133,7 @@ def assembled(
 
 
 def _of_side(element: ET.Element, side: str) -> ET.Element:
-    """A link or frame of the leg as that of one side."""
+    """Copy of a link or frame of the one leg for one side, mass halved."""
     other = "left" if side == "right" else "right"
     element = copy.deepcopy(element)
     element.set("name", f"{element.get('name')}_{side}")
@@ -153,7 +152,7 @@ def _of_side(element: ET.Element, side: str) -> ET.Element:
 def foot_and_toes(
     human: HumanParameters,
 ) -> tuple[SegmentParameters, SegmentParameters]:
-    """The foot without its toes, and the toes in their own frame."""
+    """The foot without its toes, and the toes in their hinge's frame."""
     foot, (x, z) = human.foot, ball_m(human)
     toes = human.toes
     if toes is None:
@@ -177,7 +176,7 @@ def foot_and_toes(
 
     inertia = foot.inertia_kg_m2 - toes.inertia_kg_m2
     inertia -= about(mass, place) + about(rest, com)
-    # A foot so slender that nothing is left keeps a rod's.
+    # Where nothing is left of the inertia, the rest is taken as a rod.
     inertia = max(inertia, _ROD * rest * x**2)
     return replace(foot, mass_kg=rest, com_m=com, inertia_kg_m2=inertia), toes
 
@@ -207,7 +206,7 @@ def _set_inertial(inertial: ET.Element, segment: SegmentParameters) -> None:
 
 NOMINAL_MASS_KG = 70.0
 NOMINAL_HEIGHT_M = 1.75
-# Of the shipped device: name, parent, frame on it, child, sense about y.
+# Hinges of the shipped device: name, parent, frame on it, child, axis (±y).
 _HINGES = (
     ("exo_ankle", "exo_foot", "exo_foot", "exo_shank", 1),
     ("exo_knee", "exo_shank", "exo_knee_centre", "exo_thigh", -1),
@@ -215,7 +214,7 @@ _HINGES = (
 )
 
 
-# Segment -> ends of the names of what a cuff looks like.
+# Segment -> endings of the names of visuals that draw its cuff.
 _CUFF_VISUALS = {
     "shank": ("_calf_strap", "_shin_guard"),
     "thigh": ("_thigh_strap", "_thigh_shell"),
@@ -262,17 +261,17 @@ def nominal_exoskeleton() -> ExoskeletonParameters:
 def fit_exoskeleton(
     human: HumanParameters, overrides: Any = None
 ) -> ExoskeletonParameters:
-    """Adjust the exoskeleton to a human: joints meet joints, soles meet soles.
+    """Fit the exoskeleton to a human: joints at joints, plate under the sole.
 
-    Masses stay as in exoskeleton.sdf (struts slide, they do not get heavier);
-    centres of mass follow the lengths, moments of inertia their square.
+    Masses stay as in exoskeleton.sdf, since struts slide without getting
+    heavier; centres of mass scale with length, inertias with its square.
 
     Args:
         human: the wearer.
-        overrides: `ExoskeletonOverrides`.
+        overrides: `ExoskeletonOverrides` that replace fitted values.
 
     Raises:
-        InputError: impossible override.
+        InputError: an override is out of its bounds.
     """
     nominal, wearer = nominal_exoskeleton(), nominal_human()
 
@@ -318,10 +317,10 @@ def refitted(
     human: HumanParameters,
     other: HumanParameters,
 ) -> ExoskeletonParameters:
-    """The device on another body: what was overridden stays.
+    """The device fitted to another body; values once overridden are kept.
 
     Args:
-        device: as it is fitted to `human`, with overrides.
+        device: fitted to `human`, with overrides.
         human: its wearer.
         other: the other body.
     """
@@ -340,7 +339,7 @@ def refitted(
 
 
 def human_sdf(human: HumanParameters, person: Person | None = None) -> str:
-    """human.sdf with this human's numbers, and as many legs as the person."""
+    """Text of human.sdf with this human's numbers and the person's legs."""
     model, nominal = _read("human.sdf"), nominal_human()
     width = body_width(human)
     for name in SEGMENTS:
@@ -365,11 +364,11 @@ def human_sdf(human: HumanParameters, person: Person | None = None) -> str:
 def exoskeleton_sdf(
     exoskeleton: ExoskeletonParameters, width: float = 1.0
 ) -> str:
-    """exoskeleton.sdf with this device's numbers.
+    """Text of exoskeleton.sdf with this device's numbers.
 
     Args:
         exoskeleton: the device.
-        width: breadth of the wearer against the nominal one, for the picture.
+        width: the wearer's breadth over the nominal one, for the visuals.
     """
     model, nominal = _read("exoskeleton.sdf"), nominal_exoskeleton()
     for name in SEGMENTS:
@@ -394,7 +393,7 @@ def exoskeleton_sdf(
 
 
 def _move_cuff(model: ET.Element, segment: str, moved: np.ndarray) -> None:
-    """Draw a cuff where it holds the limb, (x, z) from where it usually is."""
+    """Shift a cuff's visuals by (x, z) [m] from where they usually are."""
     for visual in _link(model, f"exo_{segment}").findall("visual"):
         if visual.get("name").endswith(_CUFF_VISUALS[segment]):
             pose = _pose(visual)
@@ -403,7 +402,7 @@ def _move_cuff(model: ET.Element, segment: str, moved: np.ndarray) -> None:
 
 
 def hinged(text: str) -> str:
-    """The shipped device's file with the hinges between its links."""
+    """The shipped device's SDF text with hinges added between its links."""
     model = ET.fromstring(text)
     for name, parent, frame, child, axis in _HINGES:
         pose = ET.Element("pose", relative_to=frame)
@@ -420,7 +419,7 @@ def hinged(text: str) -> str:
 
 
 def without_cuffs(text: str, segments: Sequence[str]) -> str:
-    """The shipped device's file without its cuffs on some segments."""
+    """The shipped device's SDF text without the cuffs on some segments."""
     model = ET.fromstring(text)
     for segment in segments:
         link = _link(model, f"exo_{segment}")
@@ -435,7 +434,7 @@ def without_cuffs(text: str, segments: Sequence[str]) -> str:
 
 
 def body_width(human: HumanParameters) -> float:
-    """Breadth against the nominal human's, for a body of equal density."""
+    """Breadth over the nominal human's, assuming equal density."""
     nominal = nominal_human()
     height = human.height_m / nominal.height_m
     return sqrt(human.mass_kg / nominal.mass_kg / height)
@@ -455,7 +454,7 @@ def _text(model: ET.Element) -> str:
 
 
 def numbers(values) -> str:
-    """As SDF and URDF have them, all digits, and no -0."""
+    """Numbers as text for SDF or URDF: all digits, and 0 instead of -0."""
     return " ".join(repr(float(v) + 0.0) for v in values)
 
 
@@ -505,7 +504,7 @@ def _segment(
 def _rewrite_link(
     model: ET.Element, name: str, segment: SegmentParameters, size, place
 ) -> None:
-    """A link's inertia, its visuals' sizes and places times factors (3,)."""
+    """Set a link's inertia; scale sizes and places of its visuals by (3,)."""
     link = _link(model, name)
     _set_inertial(_child(link, "inertial"), segment)
     for visual in link.findall("visual"):
