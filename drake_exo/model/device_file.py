@@ -1,8 +1,8 @@
-"""A device of the user's own: its file, and whether it fits into the plane.
+"""A device of the user's own: reading its SDF or URDF, checking it is planar.
 
-What the file says is brought into the person's frames once, when a study is
-read: x forward, joints that are to be held made fixed, frames of links turned
-into the plane, and links that are named as segments of the person renamed.
+The file's text is adapted once, when a study is read: x points forward, joints
+to be held become fixed, frames of links are turned so that y is normal to the
+sagittal plane, and links with the name of a person's segment are renamed.
 """
 
 import logging
@@ -24,18 +24,18 @@ from drake_exo.model.assembly import Assembly, DeviceFile, Weld
 from drake_exo.model.description import numbers
 
 _KINDS = (".sdf", ".urdf")
-_STRAIGHT = 1e-5  # largest part of an axis that leaves y: 3.1416 for pi
+_STRAIGHT = 1e-5  # tolerated deviation of an axis from y, as of 3.1416 for pi
 
 
 def with_text(assembly: Assembly, root: Path) -> Assembly:
-    """The assembly with what its device's file says.
+    """The assembly with the adapted text of its device's file filled in.
 
     Args:
-        assembly: as a study has it.
-        root: folder that the file's path starts from.
+        assembly: as read from a study.
+        root: folder that the file's path is relative to.
 
     Raises:
-        InputError: it cannot be read, or is of another kind.
+        InputError: it cannot be read, is no SDF or URDF, or as `brought_in`.
     """
     device = assembly.device
     if device is None or device.file is None or device.text is not None:
@@ -54,18 +54,18 @@ def with_text(assembly: Assembly, root: Path) -> Assembly:
     return brought_in(assembly, read_text(path, "check model.device.file"))
 
 
-# By half a circle about z.
+# Rotation by 180 degrees about z.
 _TURNED = RigidTransform(RotationMatrix(np.diag([-1.0, -1.0, 1.0])))
-_OWN = "device_"  # before the name of a link that the person has, too
+_OWN = "device_"  # prefix of a link that is named as a segment of the person
 
 
 def brought_in(assembly: Assembly, text: str) -> Assembly:
-    """The assembly with its device's text in the person's frames.
+    """The assembly with its device's text adapted to the person's frames.
 
     Raises:
         InputError: it is no XML, Drake cannot read it, a joint to fix is
-            missing, one is to follow another, links are held by more than
-            joints, or an inertia is not told or that of no body.
+            missing, a joint mimics another, links are held by something else
+            than joints, or an inertia is missing or physically impossible.
     """
     device, notes = assembly.device, []
     root, owner = _owner(device, text)
@@ -135,29 +135,29 @@ _MOMENTS, _PRODUCTS = ("ixx", "iyy", "izz"), ("ixy", "ixz", "iyz")
 
 
 def _possible_inertia(device: DeviceFile, link: ET.Element):
-    """Take products that no body has out of a link's inertia, and say so.
+    """Remove impossible products of inertia from a link; yield a note on it.
 
-    In the plane the moment about y alone counts.
+    Only the moment about y matters in the plane.
     """
     where = f"{device.name}: link {link.get('name')!r}"
     told = ("mass", *(f"inertia/{key}" for key in _MOMENTS))
     if device.kind == "sdf" and not all(
         (link.findtext(f"inertial/{key}") or "").strip() for key in told
-    ):  # SDF would take 1 kg and 1 kg m^2
+    ):  # SDF's defaults would be 1 kg and 1 kg m^2
         raise InputError(
             f"{where}: has no mass or not all moments of inertia; give mass, "
             "ixx, iyy and izz, zeros if it weighs nothing"
         )
     inertia = link.find("inertial/inertia")
     if inertia is None:
-        inertia = ET.Element("inertia")  # a point, or nothing
+        inertia = ET.Element("inertia")  # a point mass, or massless
 
     def number(key: str, text: str) -> float:
         try:
             found = float(text)
         except ValueError:
             found = np.nan
-        if not np.isfinite(found):  # Drake would take another mass
+        if not np.isfinite(found):  # Drake would replace the mass
             raise InputError(f"{where}: {key} is {text!r}; give a number")
         return found
 
@@ -202,7 +202,7 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
 
 
 def _without_dynamics(device: DeviceFile, joint: ET.Element):
-    """Take damping, springs and rotors out of a joint, and say so."""
+    """Remove damping, springs, rotors from a joint; yield a note on it."""
     said: list[str] = []
     for owner in (joint, *joint.findall("axis")):
         for tag in ("dynamics", "{*}rotor_inertia", "{*}gear_ratio"):
@@ -218,13 +218,13 @@ def _without_dynamics(device: DeviceFile, joint: ET.Element):
 
 
 def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
-    """Give each link a frame whose y is across the plane, in place.
+    """Give each link a frame whose y is normal to the plane, in place.
 
-    Those of CAD lie in any way: one whose y is not that of the welded link
-    that it hangs from takes that one's axes, at the same origin; all are turned
-    about z where the file's x points backward. Places in an
-    SDF are then told from the model and from links alone: joints and links'
-    names may change.
+    Link frames from CAD have any orientation. A frame whose y differs from that
+    of the welded link that it hangs from takes that link's axes, at the same
+    origin; all are turned about z if the file's x points backward. Poses in an
+    SDF are then given relative to the model and to links only, since joints
+    and names of links may change.
     """
     is_sdf = owner.tag == "model"
     plant = MultibodyPlant(0.0)
@@ -237,7 +237,7 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
     q[[j.position_start() for j in hung if j.num_positions() == 1]] = 0.0
     plant.SetPositions(context, q)
     bodies = [plant.get_body(i) for i in plant.GetBodyIndices(instance)]
-    # L is a link's frame in the file, P in the plane, M the model's.
+    # Frames: L of a link in the file, P of the link in the plane, M the model.
     X_ML = {b.name(): b.EvalPoseInWorld(context) for b in bodies}
     ends = [(j.parent_body().name(), j.child_body().name()) for j in hung]
     X_LP = {}
@@ -261,7 +261,7 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
             continue
         for shape in link.findall("visual"):
             X_LV = _place(shape)
-            if X_LV is None:  # it is drawn, and no more
+            if X_LV is None:  # only its drawing is lost
                 link.remove(shape)
             else:
                 _put(shape, is_sdf, X_LP[name].inverse() @ X_LV)
@@ -278,7 +278,7 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
             continue
         element, kind = elements[joint.name()], joint.type_name()
         if is_sdf:
-            # Its axis counts in its own frame, which stays.
+            # The axis is given in the joint's own frame, which is kept.
             X_LJ = joint.frame_on_child().GetFixedPoseInBodyFrame()
             _put(element, is_sdf, X_LP[b].inverse() @ X_LJ)
             for end, link in (("parent", a), ("child", b)):
@@ -299,9 +299,9 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
         owner.attrib.pop(key, None)
 
 
-# What gives a joint's axis, in its own frame.
+# Joint type -> Drake's method for its axis, in the joint's frame.
 _AXIS = {"revolute": "revolute_axis", "prismatic": "translation_axis"}
-# What tells a place from another frame, in SDF.
+# Attributes of an SDF that make a pose relative to another frame.
 _TOLD_FROM = {
     "relative_to",
     "attached_to",
@@ -312,13 +312,13 @@ _TOLD_FROM = {
 
 
 def _filled(owner: ET.Element, tag: str) -> ET.Element:
-    """An element in another; one that says nothing is made."""
+    """The child element of that tag; an empty one is made if missing."""
     found = owner.find(tag)
     return ET.SubElement(owner, tag) if found is None else found
 
 
 def connected(names, edges) -> list[set[str]]:
-    """Names in groups that edges (a, b) hold together."""
+    """Connected components of a graph of names with edges (a, b)."""
     parts = [{name} for name in names]
     for edge in edges:
         met = [part for part in parts if part & set(edge)]
@@ -328,7 +328,7 @@ def connected(names, edges) -> list[set[str]]:
 
 
 def _place(shape: ET.Element) -> RigidTransform | None:
-    """Where a shape says that it is in its link, None if that is not clear."""
+    """Pose of a shape in its link, None if it cannot be told."""
     origin, pose = shape.find("origin"), shape.find("pose")
     if pose is not None and pose.get("relative_to"):
         return None
@@ -350,7 +350,7 @@ def _place(shape: ET.Element) -> RigidTransform | None:
 
 
 def _put(owner: ET.Element, is_sdf: bool, X: RigidTransform) -> None:
-    """Write where an element is."""
+    """Replace an element's pose (SDF) or origin (URDF)."""
     for element in owner.findall("pose" if is_sdf else "origin"):
         owner.remove(element)
     rpy = X.rotation().ToRollPitchYaw().vector()
@@ -386,7 +386,7 @@ def _write_inertia(link, is_sdf: bool, body, context, X_LP) -> None:
 
 
 def _rename(root: ET.Element, old: str, new: str) -> None:
-    """Another name for a link, wherever the file speaks of it."""
+    """Rename a link wherever the file refers to it."""
     for element in root.iter():
         if element.tag == "link" and element.get("name") == old:
             element.set("name", new)
@@ -398,7 +398,7 @@ def _rename(root: ET.Element, old: str, new: str) -> None:
 
 
 def _owner(device: DeviceFile, text: str) -> tuple[ET.Element, ET.Element]:
-    """The document, and its element that holds links and joints."""
+    """The document's root, and its element that holds links and joints."""
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
@@ -413,7 +413,7 @@ def _owner(device: DeviceFile, text: str) -> tuple[ET.Element, ET.Element]:
 
 
 def _ends(joint: ET.Element) -> set[str | None]:
-    """Links that a joint of the file joins."""
+    """Names of the parent and child link of a joint in the file."""
     ends = [joint.find(end) for end in ("parent", "child")]
     return {
         None if end is None else end.get("link") or (end.text or "").strip()
@@ -422,11 +422,11 @@ def _ends(joint: ET.Element) -> set[str | None]:
 
 
 def _without_meshes(owner: ET.Element) -> None:
-    """Take out the user's meshes, what would collide, and shapes of no size.
+    """Remove meshes, collision geometry and shapes without size.
 
-    Meshes lie elsewhere, and results must be readable on any machine; links
-    of a device overlap, and Drake would push them apart; a plate without
-    thickness, it cannot draw.
+    Mesh files are not stored with results, which must be readable on any
+    machine; links of a device overlap, and Drake would push them apart; Drake
+    cannot draw a plate without thickness.
     """
     for link in owner.findall("link"):
         for shape in link.findall("visual") + link.findall("collision"):
@@ -436,7 +436,7 @@ def _without_meshes(owner: ET.Element) -> None:
 
 
 def _has_size(shape: ET.Element) -> bool:
-    """Whether all that a shape says of its size are numbers above zero."""
+    """Whether all of a shape's dimensions are finite and above zero."""
     told: list[str] = []
     for element in shape.iterfind("geometry//*"):
         told += [*element.attrib.values(), element.text or ""]
@@ -447,8 +447,8 @@ def _has_size(shape: ET.Element) -> bool:
     return all(0.0 < size < np.inf for size in sizes)
 
 
-# Before what Drake has to say: lines of a text that is not the file's any more,
-# and the way to an element from the file's root.
+# Start of Drake's messages that is cut: the line number, which is not that of
+# the user's file, and the XML path from its root.
 _PLACE = re.compile(
     r"^(<[^>]*>\S*:\d+: )?(error: )?"
     r'(At XML path /sdf(/model(\[@name="[^"]*"\])?)?)?'
@@ -456,7 +456,7 @@ _PLACE = re.compile(
 
 
 def _is_no_error(record: logging.LogRecord) -> bool:
-    """Whether Drake's log says what no exception will say."""
+    """Log filter that drops errors, which Drake also raises."""
     return record.levelno < logging.ERROR
 
 
@@ -471,7 +471,7 @@ def add_device(
     """
     root, owner = _owner(device, text)
     for joint in owner.findall("joint"):
-        if _ends(joint) <= set(device.weld):  # as stiff as the person is
+        if _ends(joint) <= set(device.weld):  # part of the person, rigid
             owner.remove(joint)
     text = ET.tostring(root, encoding="unicode")
     log = logging.getLogger("drake")
@@ -487,7 +487,7 @@ def add_device(
     for link in device.weld:
         if link not in links:
             raise missing_link(device, link, links)
-    # Everything welded is one with the person.
+    # All welded links count as one: they are fixed to the person.
     first, *others = device.weld
     edges = [(first, link) for link in others]
     for index in plant.GetJointIndices(instance):
@@ -515,12 +515,12 @@ def add_device(
 
 
 def link_names(plant, instance) -> list[str]:
-    """Links of a model instance."""
+    """Names of the links of a model instance."""
     return [plant.get_body(i).name() for i in plant.GetBodyIndices(instance)]
 
 
 def missing_link(device: DeviceFile, link: str, known) -> InputError:
-    """What to say of a link that the file does not have."""
+    """The error about a link that the file does not have."""
     return InputError(
         f"{device.name}: has no link {link!r}; it has {', '.join(known)}"
     )
@@ -541,8 +541,8 @@ def check_planar(plant: MultibodyPlant, device: DeviceFile) -> None:
         device: for messages.
 
     Raises:
-        InputError: a joint that slides or turns about another axis than y, a
-            link that moves and weighs nothing.
+        InputError: a joint is not revolute about y, or a moving link has no
+            mass or no inertia about its joint.
     """
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, np.zeros(plant.num_positions()))

@@ -1,10 +1,10 @@
-"""The planar person of a scaled OpenSim model.
+"""Conversion of a scaled OpenSim model to the planar person.
 
-The model stands with all coordinates at zero and is seen from its right side.
-Thighs, shanks, feet and toes are the bodies that OpenSim's gait models name
-so, with what is fixed to them; everything else (pelvis, torso, head, arms) is
-one trunk. A knee that rolls and slides (a CustomJoint) becomes a pin where it
-is at 0°. Legs that differ are given their mean.
+The model is taken with all coordinates at zero and projected on its sagittal
+plane, seen from the right. Thigh, shank, foot and toes are the bodies femur,
+tibia, talus with calcn, and toes of OpenSim's gait models, with what hangs on
+them; the rest (pelvis, torso, arms) is one trunk. A knee that rolls and slides
+(a CustomJoint) becomes a pin at its place at 0°. Legs that differ are averaged.
 """
 
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ from drake_exo.model.segments import (
 )
 
 ENDS = {"left": "_l", "right": "_r"}
-# Body of the file -> segment of the leg; each takes along what hangs on it.
+# Body of the file -> segment; bodies that hang on it belong to it, too.
 _BODIES = {
     "femur": "thigh",
     "tibia": "shank",
@@ -31,32 +31,32 @@ _BODIES = {
     "toes": "toes",
 }
 _TRUNK = ("pelvis", "torso")  # bodies whose markers follow the trunk
-# Joints by the body below them.
+# Joint -> the body below it.
 JOINTS = {"hip": "femur", "knee": "tibia", "ankle": "talus", "toes": "toes"}
 # The metatarsal heads lie at this part of the foot's length from the heel, as
 # in `skeleton`; calcn's origin is the heel's back.
 _BALL = 0.72
 _TOE_TIP = 1.0
-_FLEXED = np.deg2rad(100.0)  # how far a joint is compared with a pin
+_FLEXED = np.deg2rad(100.0)  # flexion up to which a joint is compared to a pin
 _STEP = 1e-6  # rad
 
 
 @dataclass(frozen=True)
 class OsimPerson:
-    """A model, seen in the sagittal plane at its zeros.
+    """An OpenSim model projected on the sagittal plane, coordinates at zero.
 
     Points are complex, x + i z [m], from the middle of the hips, z up.
 
     Attributes:
         osim: the model.
-        human: its planar person, sums over both legs.
+        human: parameters of the planar person, sums over both legs.
         segments: body -> (segment, side) that it is part of; the trunk's is
             ("pelvis", None).
-        middle: of the hips, in the pelvis's frame.
+        middle: midpoint of the hips, in the pelvis's frame.
         places: side -> "hip", "knee", "ankle", "heel" and, where there are
             toes, "toes" (their hinge) -> point.
-        markers: name -> (segment, side, point); of arms none.
-        notes: what was changed on the way, in sentences.
+        markers: name -> (segment, side, point); none of the arms.
+        notes: sentences on what the projection changed.
     """
 
     osim: OsimModel
@@ -71,17 +71,17 @@ class OsimPerson:
 def read_person(
     path: str | Path, person: Person, height_m: float, sex: str = "male"
 ) -> OsimPerson:
-    """The planar person of a .osim file.
+    """Read the planar person from a .osim file.
 
     Lengths, masses, centres of mass and inertias are the file's. What it does
-    not hold comes from the stature: heights of the vertex and of the ankle,
+    not hold follows from the stature: heights of the vertex and of the ankle,
     places of contact spheres and of cuffs.
 
     Args:
-        path: of the file.
-        person: legs and toes.
+        path: path of the file.
+        person: which legs and toes the planar person has.
         height_m: stature.
-        sex: of the tables.
+        sex: "male" or "female", for de Leva's tables.
 
     Raises:
         InputError: no such file, or not the bodies of OpenSim's gait models.
@@ -144,7 +144,7 @@ def read_person(
 
 
 def _segments(osim: OsimModel) -> dict[str, tuple[str, str | None]]:
-    """Body -> the segment that it is part of."""
+    """Body -> the (segment, side) that it is part of."""
     known = {"pelvis": ("pelvis", None)}
     for side, end in ENDS.items():
         known |= {body + end: (s, side) for body, s in _BODIES.items()}
@@ -177,7 +177,7 @@ def _segments(osim: OsimModel) -> dict[str, tuple[str, str | None]]:
 
 
 def _above(body: str) -> str:
-    """Body of the gait models that another hangs from."""
+    """Parent body of a body in OpenSim's gait models."""
     name, _, end = body.rpartition("_")
     chain = ["pelvis", *_BODIES]
     above = chain[chain.index(name) - 1]
@@ -186,7 +186,7 @@ def _above(body: str) -> str:
 
 @dataclass(frozen=True)
 class _Lump:
-    """Bodies taken as one: mass, complex centre, inertia about it."""
+    """Bodies as one: mass [kg], centre x + i z [m], inertia about it."""
 
     mass: float = 0.0
     com: complex = 0.0
@@ -204,16 +204,16 @@ class _Lump:
         return _Lump(mass, com, inertia)
 
     def seen(self, origin: complex, along: complex) -> "_Lump":
-        """In a frame with its z along a vector."""
+        """The same in a frame at `origin` with z along the vector `along`."""
         return replace(self, com=(self.com - origin) * 1j * abs(along) / along)
 
 
-# Segment -> what it weighs as one, and its length.
+# Segment -> its mass distribution and its length [m].
 _Leg = dict[str, tuple[_Lump, float]]
 
 
 def _leg(lumps, side: str, at: dict[str, complex]) -> _Leg:
-    """Segments of one leg in frames of their own."""
+    """Segments of one leg in their own frames, from joint places `at`."""
     thigh, shank = at["hip"] - at["knee"], at["knee"] - at["ankle"]
     leg = {
         "thigh": (lumps["thigh", side].seen(at["knee"], thigh), abs(thigh)),
@@ -232,7 +232,7 @@ def _leg(lumps, side: str, at: dict[str, complex]) -> _Leg:
 
 
 def _human(osim, trunk: _Lump, legs, places, height_m, sex) -> HumanParameters:
-    """The planar person; what the model does not hold by the stature."""
+    """The planar person; what the model lacks follows from the stature."""
 
     def both(name: str) -> SegmentParameters:
         pair = [leg[name][0] for leg in legs]
@@ -280,13 +280,13 @@ def _human(osim, trunk: _Lump, legs, places, height_m, sex) -> HumanParameters:
 
 
 def _along(cuff_m, segment, usual) -> tuple[float, float]:
-    """Place of a cuff on a segment of another length."""
+    """Place of a cuff, its height scaled to the segment's length."""
     x, z = cuff_m
     return x, z * segment.length_m / usual.length_m
 
 
 def _unlike(legs: list[_Leg]):
-    """Says what differs between the legs."""
+    """Yield a note for each segment that differs between the legs."""
     left, right = legs
     for name, (lump, length) in left.items():
         other, width = right[name]
@@ -300,11 +300,11 @@ def _unlike(legs: list[_Leg]):
 
 
 def flexing(osim: OsimModel, joint: OsimJoint) -> tuple[str, float] | None:
-    """Coordinate of a joint that turns its child most in the sagittal plane.
+    """The joint's coordinate that turns its child most in the sagittal plane.
 
     Returns:
-        Its name, and how far one of it turns the child about the plane's
-        normal, counter-clockwise from the right; None where none does so.
+        Its name, and the child's rotation per unit of it, counter-clockwise
+        seen from the right; None if no coordinate turns the child there.
     """
     rates = {
         name: _turned(osim, joint, name, np.array([-_STEP, _STEP]))[0]
@@ -318,7 +318,7 @@ def flexing(osim: OsimModel, joint: OsimJoint) -> tuple[str, float] | None:
 
 
 def _turned(osim: OsimModel, joint: OsimJoint, coordinate: str, q: np.ndarray):
-    """Turn (n,) of a joint's child in the plane, and how far it leaves it."""
+    """Child's rotation in the plane and tilt out of it, both (n,) [rad]."""
     poses = osim.poses({coordinate: q}, len(q))
     R_GP = osim.poses()["pelvis"][0][0]
     zero = osim.poses()[joint.child][0][0]
@@ -329,7 +329,7 @@ def _turned(osim: OsimModel, joint: OsimJoint, coordinate: str, q: np.ndarray):
 
 
 def _joint_notes(osim: OsimModel, person: Person, segments):
-    """Says what becomes of joints that are no pins about the normal."""
+    """Yield notes on joints that are no pins about the plane's normal."""
     kept = {"pelvis_tilt", "pelvis_tx", "pelvis_ty"}
     for end in ENDS.values():
         for name, body in JOINTS.items():
@@ -357,7 +357,7 @@ def _joint_notes(osim: OsimModel, person: Person, segments):
 
 
 def _strays(osim: OsimModel, joint: OsimJoint, coordinate: str):
-    """Says how far a joint is from a pin where it is at 0 degrees."""
+    """Yield notes on how far a joint is from a pin at its 0 degrees."""
     lower, upper = joint.ranges[joint.coordinates.index(coordinate)]
     q = np.linspace(max(lower, -_FLEXED), min(upper, _FLEXED), 101)
     _, p = joint.across({coordinate: q}, len(q))

@@ -1,12 +1,12 @@
-"""Batched dynamics and kinematics of planar trees, read from a Drake plant.
+"""Kinematics and dynamics of a planar tree for many states at once.
 
 Drake evaluates one state at a time; collocation and inverse dynamics need
-thousands at once. In the sagittal plane the motion of a tree has a closed
+thousands. In the sagittal plane the motion of a tree has a closed
 form: with complex numbers p = x + i z for points and w_k = exp(i phi_k) for
 the absolute angle of segment k (counter-clockwise seen from the right, about
 -y), every body origin is p_b = p_0 + sum_k L_bk w_k with constant L. The
-constants are read from the plant, so the SDF stays the only source, and the
-result is compared with the plant's own inverse dynamics before it is used.
+constants are read from the Drake plant, so the SDF stays the only source, and
+the result is compared with the plant's own inverse dynamics before it is used.
 """
 
 from collections.abc import Mapping
@@ -24,7 +24,7 @@ from pydrake.multibody.tree import (
 
 from drake_exo.model.coordinates import Coordinates, read_coordinates
 
-DEVICE = "exo_"  # before the names of the shipped device's links and joints
+DEVICE = "exo_"  # prefix of the shipped device's links and joints
 _SAMPLES = 64
 _AGREEMENT = 1e-9
 
@@ -35,17 +35,17 @@ class PlanarTree:
 
     Attributes:
         coordinates: names of the coordinates.
-        cuffs: cuff -> (link of the human, link of the device) that it joins,
-            where they can move against each other.
-        joints: hinge -> links that it joins; the second turns with it,
+        cuffs: cuff -> (link of the human, link of the device) that it joins;
+            only cuffs whose links can move relative to each other.
+        joints: hinge -> (inner, outer) link that it joins, seen from the root,
             whichever of them the file calls the child.
-        root: body whose place and pitch are coordinates.
+        root: body whose x, z and pitch are the first coordinates.
         names: body names, length nb.
-        segment_of: (nb,) index of the rigid segment that carries each body.
+        segment_of: (nb,) index of the rigid segment (one of ns) of each body.
         angle_map: (ns, nq - 2) T with absolute angles phi = T theta.
         origins: (nb, ns) complex L: body origins p_b = p_0 + L w [m].
-        offsets: (nb,) complex unit numbers: attitude of each body's frame
-            on its segment.
+        offsets: (nb,) complex unit numbers: rotation of each body's frame
+            relative to its segment.
         mass: total mass [kg].
         first_moments: (ns,) complex h_k = sum_b m_b conj(L_bk) [kg m].
         second_moments: (ns, ns) complex G = sum_b m_b conj(L_b) L_b^T of the
@@ -77,7 +77,7 @@ class PlanarTree:
 
     @property
     def weight(self) -> float:
-        """Of the whole tree [N]."""
+        """Weight of the whole tree [N]."""
         return self.mass * self.gravity
 
     @staticmethod
@@ -102,7 +102,7 @@ class PlanarTree:
 
     @cached_property
     def angles_by_q(self) -> np.ndarray:
-        """Segments' absolute angles by the coordinates, (ns, nq)."""
+        """Derivative of segments' absolute angles by q, (ns, nq)."""
         return np.hstack([np.zeros((len(self.angle_map), 2)), self.angle_map])
 
     def segment_angles(self, q: np.ndarray) -> np.ndarray:
@@ -128,9 +128,9 @@ class PlanarTree:
         return lever
 
     def arms(self, q, body: str, p_BoP=(0.0, 0.0)) -> np.ndarray:
-        """What each segment adds to p_WP, x and z: (2, N, ns) [m].
+        """Contribution (x, z) of each segment to p_WP, (2, N, ns) [m].
 
-        By its segment's angle an arm (x, z) changes by (-z, x).
+        Its derivative by the segment's angle is (-z, x).
         """
         phi, L = self.segment_angles(q), self._lever(body, p_BoP)
         c, s = np.cos(phi), np.sin(phi)
@@ -155,7 +155,7 @@ class PlanarTree:
         return J
 
     def moving(self, body: str) -> np.ndarray:
-        """Angles that turn the way to a body's origin, (nq,) bool."""
+        """Angles that move a body's origin against the root's, (nq,) bool."""
         lever = self.origins[self.body_index(body)]
         return self.angles_by_q[lever != 0.0].any(axis=0)
 
@@ -166,7 +166,7 @@ class PlanarTree:
         return phi + np.angle(self.offsets[index])
 
     def turning(self, body: str) -> np.ndarray:
-        """Derivatives (nq,) of `body_angles` by the coordinates."""
+        """Derivative (nq,) of `body_angles` by the coordinates."""
         return self.angles_by_q[self.segment_of[self.body_index(body)]]
 
     def link_motion(self, q, v, body: str, p_BoP=(0.0, 0.0)):
@@ -175,10 +175,11 @@ class PlanarTree:
         Args:
             q, v: (N, nq).
             body: name of the link.
-            p_BoP: (2,) of the point, as in `point_positions`.
+            p_BoP: (2,) point in the link, as in `point_positions`.
 
         Returns:
-            Position (2, N) [m], angle (N,) [rad] and (v_x, v_z, rate) (3, N).
+            Position (2, N) [m], angle (N,) [rad], (v_x, v_z, rate) (3, N)
+            [m/s, m/s, rad/s].
         """
         J = self.point_jacobian(q, body, p_BoP)
         velocity = np.einsum("nij,nj->in", J, v)
@@ -189,15 +190,14 @@ class PlanarTree:
         )
 
     def by_wrench(self, q, body: str) -> np.ndarray:
-        """Generalized forces by a wrench on a body, (N, nq, 3).
+        """Derivative of generalized forces by a wrench on a body, (N, nq, 3).
+
+        The wrench is F_x, F_z [N] and M_y = z F_x - x F_z about the world's
+        origin [N m].
 
         Args:
             q: (N, nq) positions.
-            body: its name.
-
-        Returns:
-            By F_x, F_z [N] and M_y = z F_x - x F_z about the world's origin
-            [N m].
+            body: name of the body.
         """
         x, z = self.point_positions(q, body).T[:, :, None]
         dx, dz = self.point_jacobian(q, body).transpose(1, 0, 2)
@@ -210,11 +210,11 @@ class PlanarTree:
         return np.einsum("nqw,nw->nq", self.by_wrench(q, body), wrench)
 
     def wrench_curvature(self, q, body: str, wrench: np.ndarray) -> np.ndarray:
-        """Derivatives by q (N, nq, nq) of generalized forces of a wrench.
+        """Derivative by q (N, nq, nq) of a wrench's generalized forces.
 
         Args:
             q, body: as in `by_wrench`.
-            wrench: (N, 3), which stays.
+            wrench: (N, 3), held constant.
         """
         x, z = self.arms(q, body)
         F_x, F_z = wrench.T[:2, :, None]
@@ -224,16 +224,16 @@ class PlanarTree:
         return J + self.turning(body)[None, :, None] * moved[:, None, :]
 
     def turned_twice(self, weights: np.ndarray) -> np.ndarray:
-        """Hessians (N, nq, nq) by q of what has (N, ns) by squared angles."""
+        """Hessians (N, nq, nq) by q, from (N, ns) by each absolute angle."""
         T = self.angles_by_q
         return np.einsum("nk,ki,kj->nij", weights, T, T, optimize=True)
 
     def turned_alone(self, bodies, columns) -> np.ndarray:
-        """Change of all coordinates (m, nq) if each body alone turns by 1.
+        """Change of the coordinates (m, nq) if each body alone turns by 1 rad.
 
         Args:
-            bodies: (m,) names; the others of them do not turn.
-            columns: (m,) places of the angles that give way.
+            bodies: (m,) names; while one turns, the others of them do not.
+            columns: (m,) columns of the angles that may change.
         """
         T = np.array([self.turning(body)[columns] for body in bodies])
         found = np.zeros((len(T), self.num_positions))
@@ -305,7 +305,7 @@ class PlanarTree:
         return tuple(result)
 
     def ground_reaction(self, q: np.ndarray, Q: np.ndarray) -> np.ndarray:
-        """Wrench on the root that takes the place of its generalized forces.
+        """Wrench on the root equivalent to generalized forces Q of the root.
 
         Args:
             q: (N, nq) positions.
@@ -393,7 +393,7 @@ def _joints(plant, turn, coordinates) -> dict[str, tuple[str, str]]:
 
 
 def _angles(plant, context, bodies):
-    """Rows dphi/dtheta (nb, nq - 2) and attitudes at zero (nb,)."""
+    """Rows dphi/dtheta (nb, nq - 2), unit numbers exp(i phi) at zero (nb,)."""
     plant.SetPositions(context, np.zeros(plant.num_positions()))
     turns, offsets = [], []
     for body in bodies:

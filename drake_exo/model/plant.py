@@ -1,7 +1,8 @@
-"""Plants put together from a description of person, device and cuffs.
+"""The model of a subject with or without a device, and its Drake plant.
 
-Drake's SDF parser knows no planar joint to the world, and the person has one
-leg or two: the person's joints are added here, the device's are in its file.
+The person's joints are added here, since Drake's SDF parser knows no planar
+joint to the world and the person has one leg or two; the device's are in its
+file.
 
 Signs: the pitch of the root is positive toes up; dorsiflexion, knee flexion
 and hip flexion are positive. Seen from the right, counter-clockwise (about
@@ -69,11 +70,11 @@ Kind = Literal["coupled", "rigid", "human"]
 KINDS = tuple(ASSEMBLIES)
 
 _OWN = "take it out, or name others"
-# What of a joint is recorded and found goes by NAME, NAME_moment, NAME.KEY.
+# A joint must be fit to name columns NAME, NAME_moment and parameters NAME.KEY.
 _COLUMN = re.compile(
     r"""(?!time$|.*_moment$)[^\s.,;\[\]"]([^.,;\[\]"\t\n]*[^\s.,;\[\]"])?"""
 )
-_SHELL = "_shell"  # after a cuff's name, what it holds on to
+_SHELL = "_shell"  # suffix to a cuff's name: the device body that it holds
 _FITTED = f"those of the shipped device are {', '.join(CUFFED)}, on one leg"
 
 # Turns z to -y and +y. Written out, because cos(pi/2) is not zero in floating
@@ -91,16 +92,15 @@ class Model:
     """A subject, alone or in a device, as `model.json` holds it.
 
     Attributes:
-        kind: the parts that make it up; or the name of one that ships:
-            "coupled" (two chains on one foot), "rigid" (the device's links
-            welded to the human's) or "human" (no device).
-        human: the subject.
-        exoskeleton: the shipped device; None without it.
+        kind: bodies, cuffs and spheres; or the name of a shipped assembly:
+            "coupled" (device on cuffs, foot-plate welded to the foot), "rigid"
+            (the device's links welded to the human's) or "human" (no device).
+        human: the subject's parameters.
+        exoskeleton: parameters of the shipped device; None without it.
         gravity_m_s2: magnitude of gravity.
 
     Raises:
-        InputError: parts that do not fit together, or a mass, a length, ...
-            out of its bounds.
+        InputError: parts do not fit together, or a value is out of bounds.
 
     >>> human = nominal_human()
     >>> model = Model("coupled", human, fit_exoskeleton(human))
@@ -144,7 +144,7 @@ class Model:
         check_bounds("gravity_m_s2", self.gravity_m_s2, {"minimum": 0.0})
 
     def __repr__(self) -> str:
-        # Not every segment: a notebook shows what its last line is.
+        # Short, because notebooks print it: segments are left out.
         held = ", ".join(self.assembly.cuffs)
         return (
             f"Model({self.name!r}, {self.human.mass_kg:.1f} kg, "
@@ -153,27 +153,27 @@ class Model:
 
     @property
     def assembly(self) -> Assembly:
-        """What it is put together of."""
+        """Its bodies, cuffs and spheres, also if `kind` is a name."""
         named = not isinstance(self.kind, Assembly)
         return ASSEMBLIES[self.kind] if named else self.kind
 
     @property
     def name(self) -> str:
-        """Of its kind, for messages."""
+        """Name of its kind, for messages."""
         return "described" if isinstance(self.kind, Assembly) else self.kind
 
     @property
     def has_device(self) -> bool:
-        """Whether the subject wears one."""
+        """Whether the subject wears a device."""
         return self.assembly.device is not None
 
     @cached_property
     def tree(self) -> PlanarTree:
-        """Batched dynamics of the plant.
+        """Kinematics and dynamics of the plant, for many states at once.
 
         Raises:
-            InputError: the device is none that moves in the plane, or a cuff
-                joins nothing.
+            InputError: the device is not planar, its joints' names are unfit,
+                or a cuff's links cannot move relative to each other.
         """
         plant, device = self.plant(), self.assembly.device
         if device is not None:
@@ -206,7 +206,7 @@ class Model:
 
     @cached_property
     def rigid(self) -> "Model":
-        """The same with the device welded on, if there is one."""
+        """The same with the device, if any, welded to the person."""
         device = self.assembly.device
         if device is None:
             return self
@@ -271,7 +271,7 @@ class Model:
 
     @cached_property
     def upright_poses(self) -> dict[str, np.ndarray]:
-        """Body -> x, z [m], angle [rad] while person and device stand."""
+        """Body -> x, z [m], angle [rad] with all coordinates at zero."""
         plant, device = self.plant(), self.assembly.device
         if device is not None:
             check_planar(plant, device)
@@ -302,10 +302,10 @@ class Model:
         return self.human.cuff_m(segment)
 
     def preload(self, cuff: str) -> tuple[float, float]:
-        """How far (x, z) the device's cuff is from the human's [m].
+        """Place (x, z) of a cuff in the device minus that in the human [m].
 
-        Each in its own link. A device of the user's own is worn without, and a
-        cuff whose place the description says.
+        Each in its own link. It is zero for a device of the user's own, and for
+        a cuff whose place the study gives.
         """
         links = self.assembly.cuffs[cuff]
         if self.exoskeleton is None or links.at_m is not None:
@@ -329,7 +329,7 @@ class Model:
             The plant, the given one or the new one.
 
         Raises:
-            InputError: the device does not fit the description.
+            InputError: the device's file does not fit the assembly.
         """
         if plant is not None:
             return _added(self, plant)
@@ -339,7 +339,7 @@ class Model:
 
 
 def nominal_model(kind: Kind = "coupled") -> Model:
-    """The nominal adult, with a device that fits unless `kind` is "human".
+    """The nominal adult; with the fitted device unless `kind` is "human".
 
     >>> round(nominal_model("human").tree.mass, 6)
     70.0
@@ -350,7 +350,7 @@ def nominal_model(kind: Kind = "coupled") -> Model:
 
 
 def _added(model: Model, plant: MultibodyPlant) -> MultibodyPlant:
-    """The plant with all of a model in it."""
+    """The plant with all bodies, joints and visuals of a model added."""
     gravity = [0.0, 0.0, -model.gravity_m_s2]
     plant.mutable_gravity_field().set_gravity_vector(gravity)
     parser = Parser(plant)
@@ -406,7 +406,7 @@ def _add_human_joints(
 
 
 def _check_links(plant, worn, assembly: Assembly) -> None:
-    """Refuse a cuff at a link that the device does not have."""
+    """Check that cuffs are at links of the device, and names are unique."""
     known = link_names(plant, worn)
     for name, cuff in assembly.cuffs.items():
         if cuff.device not in known:
@@ -419,9 +419,9 @@ def _check_links(plant, worn, assembly: Assembly) -> None:
 
 
 def _cuff_links(assembly: Assembly) -> dict[str, tuple[str, str]]:
-    """Cuff that bears something -> links that it joins.
+    """Closed cuff -> (link of the human, body of the device) that it joins.
 
-    Those of the shipped device have their segment's name.
+    Of the shipped device only cuffs named as their segment are kept.
     """
     found = {n: assembly.cuffs[n] for n in assembly.closed}
     links = {n: (c.human, _held(assembly, n)) for n, c in found.items()}
@@ -432,17 +432,17 @@ def _cuff_links(assembly: Assembly) -> dict[str, tuple[str, str]]:
 
 
 def _held(assembly: Assembly, cuff: str) -> str:
-    """Body that a cuff holds on to: a link that is fitted, or its shell."""
+    """Device body that a cuff holds: a shipped link, else its shell."""
     fitted = assembly.is_fitted
     return assembly.cuffs[cuff].device if fitted else cuff + _SHELL
 
 
 def _add_shells(plant, worn, assembly: Assembly, human) -> None:
-    """Where the cuffs of a device of the user's own hold on to it.
+    """Add the bodies that cuffs hold on a device of the user's own.
 
-    A cuff is strained by how the device's link moves against the segment. Its
-    link gets a body without mass that lies on the segment's frame while both
-    stand upright, as links of the shipped device do.
+    A cuff's deflection is the motion of the device's link relative to the
+    segment. So the link gets a massless body whose frame coincides with the
+    segment's in upright standing, as links of the shipped device do.
     """
     if not assembly.cuffs:
         return
@@ -455,7 +455,7 @@ def _add_shells(plant, worn, assembly: Assembly, human) -> None:
 
 
 def _seen_from(model: Model, base: str, body: str) -> Weld:
-    """Place of one body on another while all stand upright."""
+    """Pose of a body on another, `base`, in upright standing, as a weld."""
     poses = model.upright_poses
     x, z, angle = poses[body] - poses[base]
     c, s = np.cos(poses[base][2]), np.sin(poses[base][2])
@@ -466,9 +466,9 @@ def _seen_from(model: Model, base: str, body: str) -> Weld:
 def _riding(model: Model, tree: PlanarTree) -> dict[str, str]:
     """Link of the device -> segment of the person that it moves with.
 
-    That which it is welded or strapped to. A link that is neither goes with
-    the one that leaves the cuffs slackest while the person bends; where that
-    does not tell, with the next one towards the welded one.
+    That is the segment it is welded or strapped to. Any other link is assigned
+    to the segment that strains the cuffs least while the person's joints bend;
+    if that does not decide, to that of its neighbour towards the weld.
     """
     assembly = model.assembly
     plant = model.plant()
@@ -476,7 +476,7 @@ def _riding(model: Model, tree: PlanarTree) -> dict[str, str]:
     for cuff in assembly.cuffs.values():
         rides.setdefault(cuff.device, cuff.human)
     joints = [plant.get_joint(i) for i in plant.GetJointIndices()]
-    # What is fixed to a link goes with it before what hinges on it does.
+    # Links fixed to a link are assigned before those hinged to it.
     stiff = [
         (j.parent_body().name(), j.child_body().name())
         for j in joints
@@ -484,8 +484,8 @@ def _riding(model: Model, tree: PlanarTree) -> dict[str, str]:
     ]
     ends = stiff + [tree.joints[name] for name in tree.coordinates.device]
     segments = assembly.human.segments
-    # Outward as far as it goes before a joint inward, in whatever order the
-    # file has them.
+    # Outward as far as possible before one joint inward, so that the order of
+    # joints in the file does not matter.
     held: set[str] = set()
     for edges in (stiff, ends):
         held = set(rides)
@@ -499,10 +499,10 @@ def _riding(model: Model, tree: PlanarTree) -> dict[str, str]:
     for chain in connected(free, inside):
         met = {n for edge in ends if set(edge) & chain for n in edge}
         between = _between(person, {rides[n] for n in met})
-        groups: dict[tuple, list[str]] = {}  # what turns together
+        groups: dict[tuple, list[str]] = {}  # links that turn together
         for name in filter(chain.__contains__, free):
             groups.setdefault(tuple(tree.turning(name)), []).append(name)
-        choices = [rides]  # which stays where none is slacker
+        choices = [rides]  # first, so it wins ties
         for on in product(between, repeat=len(groups)):
             moved = zip(groups.values(), on, strict=True)
             choices.append(rides | {n: s for g, s in moved for n in g})
@@ -512,7 +512,7 @@ def _riding(model: Model, tree: PlanarTree) -> dict[str, str]:
 
 
 def _between(joints, segments) -> list[str]:
-    """Segments on the way from one to another of some, over joints (a, b)."""
+    """Segments on the paths between some of them, over joints (a, b)."""
     edges = list(joints)
     while True:
         ends = [name for edge in edges for name in edge]
@@ -523,7 +523,7 @@ def _between(joints, segments) -> list[str]:
 
 
 def _strain(assembly: Assembly, tree: PlanarTree, rides) -> float:
-    """How far cuffs are off while each joint of the person bends alone [m]."""
+    """Norm of cuffs' deflections as each human joint bends by 1 rad [m]."""
     names = replace(tree.coordinates, coupling=_coupling(tree, rides))
     bent = np.hstack(
         [np.zeros((len(names.human), 3)), np.eye(len(names.human))]
@@ -538,7 +538,7 @@ def _strain(assembly: Assembly, tree: PlanarTree, rides) -> float:
 
 
 def _coupling(tree: PlanarTree, rides) -> tuple[tuple[float, ...], ...]:
-    """Turn of the device's hinges by the human's, while it moves with them."""
+    """`Coordinates.coupling` of a device whose links ride on segments."""
     names = tree.coordinates
     columns = names.columns(names.human)
     rows = []
@@ -560,7 +560,7 @@ def _turned(
 
 
 def _draw_ground(plant: MultibodyPlant) -> None:
-    """Draw the floor: no body, so that the plant's mass is the subject's."""
+    """Draw the floor on the world body, so it adds no mass to the plant."""
     plant.RegisterVisualGeometry(
         plant.world_body(),
         RigidTransform([0.0, 0.0, -0.005]),

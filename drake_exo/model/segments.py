@@ -1,10 +1,10 @@
 """Parameters of the planar segments of the human and of the exoskeleton.
 
-All values are sums over both legs (the legs move as one), in SI units, in the
-segment's own frame: origin at its lower joint (the foot: at the ankle), x
-forward and z up along the segment when standing straight. Points are (x, z).
+All values are sums over both legs, in SI units and in the segment's own frame:
+origin at its lower joint (foot: at the ankle), x forward and z up along the
+segment in upright standing. Points are (x, z).
 
-Those of a subject follow from body mass, height and sex: P. de Leva,
+A subject's values follow from body mass, height and sex: P. de Leva,
 "Adjustments to Zatsiorsky-Seluyanov's segment inertia parameters", J.
 Biomechanics 29(9), 1996, Table 4: lengths, masses, centres of mass and radii of
 gyration between joint centres, gamma-ray scans of 100 men (1.741 m, 73.0 kg)
@@ -29,12 +29,12 @@ from drake_exo.files.schema import quantity
 
 SEGMENTS = ("foot", "shank", "thigh", "pelvis")
 CUFFED = SEGMENTS[1:]  # segments with a place for a cuff
-LEG_JOINTS = ("ankle", "knee", "hip")  # between them
+LEG_JOINTS = ("ankle", "knee", "hip")  # between the segments, upwards
 
-# Radius of the heel and toe contact spheres when nothing else is said [m].
+# Default radius of the contact spheres [m].
 CONTACT_RADIUS_M = 0.032
 
-_FAR_M = 3.0  # what lies further off in a body was given in mm
+_FAR_M = 3.0  # a larger coordinate in a body was given in mm
 IN_BODY = {"unit": "m", "minimum": -_FAR_M, "maximum": _FAR_M}
 
 
@@ -61,7 +61,7 @@ class SegmentParameters:
     length_m: float = quantity("m", above=0.0, maximum=_FAR_M)
 
     def heavier(self, ratio: float) -> "SegmentParameters":
-        """The same with so many times the mass and the inertia."""
+        """The same with mass and inertia times `ratio`."""
         return replace(
             self,
             mass_kg=ratio * self.mass_kg,
@@ -70,7 +70,7 @@ class SegmentParameters:
 
 
 class _Chain:
-    """What human and exoskeleton share."""
+    """Properties that human and exoskeleton have in common."""
 
     @property
     def mass_kg(self) -> float:
@@ -149,7 +149,7 @@ class ExoskeletonParameters(_Chain):
 
 
 def _overrides(name: str, of: type, doc: str) -> type:
-    """A dataclass with the fields of another, each None unless replaced."""
+    """A dataclass with the fields of another, None where not replaced."""
     known = [
         (f.name, SegmentOverrides, SegmentOverrides())
         if f.type is SegmentParameters
@@ -184,9 +184,9 @@ def with_overrides(parameters: _T, overrides: Any, where: str) -> _T:
     """Replace single values, segment by segment.
 
     Args:
-        parameters: what scaling gave.
-        overrides: of the dataclass above that goes with it; values that are
-            None are kept as scaled. None replaces nothing.
+        parameters: scaled or fitted values.
+        overrides: the matching overrides class; its fields that are None keep
+            the scaled value. None replaces nothing.
         where: name of the owner for messages, e.g. "human".
 
     Raises:
@@ -208,7 +208,7 @@ def with_overrides(parameters: _T, overrides: Any, where: str) -> _T:
 
 @dataclass(frozen=True)
 class DeLevaRow:
-    """One row of Table 4; a limb's row is one limb.
+    """One row of Table 4; a limb's row is for one limb.
 
     Attributes:
         mass: share of body mass [%].
@@ -261,14 +261,14 @@ DE_LEVA = {
 VERTEX_HEIGHT_MM = {"male": 242.9 + 603.3, "female": 243.7 + 614.8}
 SHOULDER_HEIGHT_MM = {"male": 515.5, "female": 497.9}
 
-HEIGHTS_M, MASSES_KG = (0.9, 2.6), (15.0, 350.0)  # of people
+HEIGHTS_M, MASSES_KG = (0.9, 2.6), (15.0, 350.0)  # accepted of a subject
 _ANKLE_HEIGHT = 0.039  # of body height, Winter
-# Ours, in parts of the foot's length: the heel's surface lies this far behind
-# the ankle; the contact spheres under the calcaneus and the toes.
+# Own choice, in parts of the foot's length: how far the heel's surface is behind
+# the ankle, and x of the spheres under calcaneus and toes.
 _HEEL_BEHIND_ANKLE = 0.22
 _HEEL_SPHERE = -0.173
 _TOE_SPHERE = 0.636
-# Ours: cuffs in parts of the segment's length, hip belt in parts of height.
+# Own choice: cuffs in parts of the segment's length, hip belt of height.
 _SHANK_CUFF = 0.60
 _THIGH_CUFF = 0.55
 _BELT = 0.060
@@ -288,7 +288,7 @@ def scale_human(
         sex: "male" or "female".
 
     Raises:
-        InputError: mass, height or their ratio that no adult has; unknown
+        InputError: mass, height or body mass index that nobody has; unknown
             sex.
     """
     _check_subject(mass_kg, height_m, sex)
