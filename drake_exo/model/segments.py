@@ -263,8 +263,8 @@ SHOULDER_HEIGHT_MM = {"male": 515.5, "female": 497.9}
 
 HEIGHTS_M, MASSES_KG = (0.9, 2.6), (15.0, 350.0)  # accepted of a subject
 _ANKLE_HEIGHT = 0.039  # of body height, Winter
-# Own choice, in parts of the foot's length: how far the heel's surface is behind
-# the ankle, and x of the spheres under calcaneus and toes.
+# Own choice, in parts of the foot's length: how far the heel's surface lies
+# behind the ankle, and x of the spheres under calcaneus and toes.
 _HEEL_BEHIND_ANKLE = 0.22
 _HEEL_SPHERE = -0.173
 _TOE_SPHERE = 0.636

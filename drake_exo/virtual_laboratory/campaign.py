@@ -1,6 +1,7 @@
-"""A measurement campaign: simulated, measured, written, truth apart.
+"""A virtual campaign: movements are simulated, measured and written as files.
 
-Its study file says no more than a real laboratory would know.
+The study file holds only what a real laboratory would know; the truth is in a
+folder of its own.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -56,8 +57,8 @@ from drake_exo.virtual_laboratory.truth import (
     write_parameters,
 )
 
-# Standard deviation of each signal as it reaches a phase: markers slide on
-# skin, the foot's do not.
+# Noise of each signal as a phase tracks it: markers slide on skin, but those of
+# the foot do not.
 _NOISE = {
     "angle_deg": 0.5,
     "velocity_deg_s": 4.0,
@@ -70,21 +71,21 @@ _FORCE_NOISE = {"moment_nm": 5.0, "exo_moment_nm": 0.3, "energy_j": 1.0}
 
 
 class _Whole(yaml.Dumper):
-    """Writes a value wherever it stands, never a sign for an equal one."""
+    """YAML dumper that repeats equal values instead of aliasing them."""
 
     def ignore_aliases(self, data: object) -> bool:
         return True
 
 
 def write_yaml(path: Path, title: str, study: dict) -> None:
-    """Write a study file under a line of comment."""
+    """Write a study file, with the title as a comment in its first line."""
     look = {"sort_keys": False, "default_flow_style": None, "width": 78}
     text = yaml.dump(study, Dumper=_Whole, **look)
     path.write_text(f"# {title}\n{text}", encoding="utf-8")
 
 
 def _model(truth: Truth) -> str | dict:
-    """What the study says of it: of cuffs that are built otherwise, each."""
+    """The study's section `model`; all cuffs are listed if one has moved."""
     model, places = truth.model, {}
     for name, own in truth.design.cuffs.items():
         if not own.removed and (own.across_m or own.along_m):
@@ -104,12 +105,12 @@ def _model(truth: Truth) -> str | dict:
 def device_section(
     joints: Iterable[str], friction: Friction, found: Iterable[float]
 ) -> dict:
-    """Joint -> its friction, as far as a bench found it.
+    """Joint -> its friction in a study, as identified on a bench.
 
     Args:
-        joints: as the study calls them.
-        friction: of them.
-        found: share of each.
+        joints: names in the study.
+        friction: true friction of the joints.
+        found: share of each joint's friction that the bench found.
     """
     rows = zip(joints, friction.viscous, friction.coulomb, found, strict=True)
     return {
@@ -123,20 +124,19 @@ def device_section(
 
 
 def phase_sections(legs: int = 1) -> dict:
-    """Settings of the three phases; nominal values are not the truth.
+    """The study's sections of Phases A to C; nominal values are not the truth.
 
-    Weights of the second: a device that moves nobody has the moments of its
-    own friction; with the share of it that is unknown they are right to
-    0.1 N m.
+    Phase B: moments of a passive device are those of its friction; since the
+    unknown share of friction is estimated, they are right to 0.1 N m.
 
-    The third tracks no kinematics but ends. Those of the person are a degree
-    off: what skin does there that the error model does not know would set the
-    device swinging. Contact energy weighs as little as in the second: at a
-    tenth of a joule the person bends by degrees to spare the cuffs what they
-    bear.
+    Phase C tracks no kinematics except end states. The person's have a standard
+    deviation of one degree, since skin movement that the error model lacks
+    would otherwise set the device swinging. Contact energy has as little weight
+    as in Phase B: with 0.1 J as its size, the person bends by degrees to unload
+    the cuffs.
 
     Args:
-        legs: that move on their own, each with soles of its own.
+        legs: number of soles of their own, among which the modulus is shared.
     """
 
     def sphere():
@@ -165,7 +165,8 @@ def phase_sections(legs: int = 1) -> dict:
 
 _MODES = ("passive", "assisted")
 _TRIALS, _MOVEMENTS = 5, 3
-# The last movement of the latest trials: three to calibrate, six to predict.
+# (mode, mats) -> trials whose last movement the study uses: three calibrate
+# (passive), six are predicted (assisted).
 _USED = {
     ("passive", "pelvis"): (4, 5),
     ("passive", "legs"): (5,),
@@ -175,12 +176,12 @@ _USED = {
 NUM_USED = sum(map(len, _USED.values()))
 _HELP = (0.0, 0.2, 0.2)
 _STANDING_S = 2.0
-# A trial begins when the chair is felt no more, a little later so that the
-# filter does not smear the chair's force into it.
+# A trial begins a little after the chair's force has gone, so that the filter
+# does not smear that force into it.
 _CHAIR_GONE_N = 2.0
 _AFTER_CHAIR_S = 0.08
 _AFTER_RISE_S = 0.1
-# As plates show it.
+# As plates show it: noise, largest offset, threshold; largest error of the end.
 _SEEN_NOISE_N, _SEEN_OFFSET_N, _SEEN_GONE_N = 0.5, 5.0, 10.0
 _SEEN_END_S = 0.05
 
@@ -191,8 +192,8 @@ class Repetition:
 
     Attributes:
         mode: "passive" or "assisted".
-        configuration: of the mats, "pelvis" or "legs".
-        trial, movement: from 1.
+        configuration: where the mats are, "pelvis" or "legs".
+        trial, movement: numbers from 1; a trial has three movements.
     """
 
     mode: str
@@ -202,7 +203,7 @@ class Repetition:
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """Name of its files and of the study's trial."""
         return f"{self.mode}_{self.configuration}_{self.trial}_{self.movement}"
 
     @property
@@ -213,7 +214,7 @@ class Repetition:
 
     @property
     def key(self) -> list[int]:
-        """Of its random numbers."""
+        """Key of its random numbers."""
         return [
             _MODES.index(self.mode),
             list(CONFIGURATIONS).index(self.configuration),
@@ -223,15 +224,14 @@ class Repetition:
 
 
 def protocol(count: int | None = None, full: bool = False) -> list[Repetition]:
-    """Movements of a campaign: those that the study uses come first.
+    """Movements of a campaign; those that the study uses come first.
 
     Args:
-        count: that many of those in use; all nine by default.
-        full: also the ones that the paper recorded and did not use, 60 in
-            all.
+        count: number of movements in use, 1 to 9; all nine by default.
+        full: add those that the paper recorded but did not use, 60 in all.
 
     Raises:
-        InputError: a count that is not from one to nine.
+        InputError: `count` is not from 1 to 9.
     """
     count = NUM_USED if count is None else count
     if count not in range(1, NUM_USED + 1):
@@ -261,29 +261,29 @@ def write_campaign(
     design: Design | None = None,
     assisted: bool = False,
 ) -> Path:
-    """Simulate a subject and write what a laboratory would hand over.
+    """Simulate a subject and write the files of a gait laboratory.
 
     Args:
         folder: made if it is not there; receives study.yaml, standing and
             trial files, and truth/, which no calibration reads.
-        seed: same seed, same bytes.
+        seed: of all random numbers; the same seed gives the same bytes.
         disturbances: names of `DISTURBANCES` that act.
         trials: number of movements in use, the three of calibration first;
             nine by default.
         full: also record what the study does not use, as the paper did.
         files: "c3d" or "opensim" (.trc and .mot).
-        truth: "wide", or "near" to what a calibration begins with.
-        processes: how many work at once; they do not change the result.
-        design: a design, built and worn by the same subject, who does the same.
+        truth: "wide", or "near" the nominal values a calibration starts from.
+        processes: number of parallel ones; no influence on the result.
+        design: device to be worn; subject and movements stay the same.
         assisted: leave out movements in the passive device.
 
     Returns:
         The study file.
 
     Raises:
-        InputError: unknown disturbance, kind of files or truth, a seed or
-            number of trials or processes that cannot be, a design of another
-            device, or a folder that holds a study already.
+        InputError: unknown disturbance, kind of files or truth; seed or number
+            of trials or processes out of range; a design of another device; or
+            the folder holds a study already.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -321,14 +321,14 @@ def write_campaign(
 
 
 def read_about(folder: str | Path) -> dict:
-    """What `write_campaign` was told, as its arguments by name.
+    """Seed, disturbances and truth of a campaign, for `write_campaign`.
 
     Args:
-        folder: that it wrote.
+        folder: folder that `write_campaign` wrote.
 
     Raises:
-        InputError: it holds no campaign of the virtual laboratory, or one
-            that wears a design, or of two legs.
+        InputError: it holds no campaign of the virtual laboratory, or one with
+            a design or of two legs.
     """
     remedy = "give the study.yaml of 'drake-exo lab'"
     path = Path(folder) / "truth" / "truth.json"
@@ -351,23 +351,23 @@ def read_about(folder: str | Path) -> dict:
 
 
 def record(job: "Session", movement) -> dict:
-    """`Session.record` in another process."""
+    """`Session.record` as a function, for jobs in other processes."""
     return job.record(movement)
 
 
 class Session:
-    """A subject in a laboratory, whose movements stand for themselves.
+    """A subject in a laboratory; each movement is independent of the others.
 
     Args:
         seed: of all random numbers.
         truth: the subject.
-        planner: of its movements.
-        mats: on it.
-        about: what files of the truth say of the session.
-        equipment: of `Laboratory`, what is not drawn here, by name.
+        planner: plans its movements.
+        mats: all pressure mats.
+        about: entries for the files of the truth that describe the session.
+        equipment: fields of `Laboratory` that are not drawn here.
     """
 
-    first_key = 0  # of its random numbers, which no other kind has
+    first_key = 0  # offset of its random numbers' keys; subclasses differ
 
     def __init__(
         self,
@@ -391,7 +391,7 @@ class Session:
         )
 
     def rng(self, what: int, *key: int) -> np.random.Generator:
-        """Random numbers of their own for everything that is drawn."""
+        """A generator of its own for each kind of draw, by number and key."""
         return np.random.default_rng([self.seed, self.first_key + what, *key])
 
     def standing(self) -> Reference:
@@ -399,10 +399,10 @@ class Session:
         return self.planner.standing(_STANDING_S, STANDING_COP_M)
 
     def prepare(self, progress: Progress | None = None) -> dict[str, dict]:
-        """Quiet standing, empty plates, body scan and true parameters.
+        """Write quiet standing, empty plates, body scan and true parameters.
 
         Returns:
-            The section `mats` of the study.
+            The study's section `mats`.
         """
         laboratory, rng = self.laboratory, self.rng(2)
         folder, truth = laboratory.folder, laboratory.folder / "truth"
@@ -421,12 +421,12 @@ class Session:
         plates: Mapping[str, int],
         cutoff_hz: float = 6.0,
     ) -> dict:
-        """Sections of the study from `subject` to `markers`.
+        """Sections of the study on subject, model and laboratory.
 
         Args:
-            model: the section of that name.
-            plates: foot or chair -> number.
-            cutoff_hz: of the filter.
+            model: the section `model`.
+            plates: foot or chair -> number of its force plate.
+            cutoff_hz: of the low-pass filter.
         """
         human, laboratory = self.truth.human, self.laboratory
         active, section = laboratory.disturbances, {}
@@ -464,12 +464,12 @@ class Session:
     def record_all(
         self, movements: Mapping, processes: int, progress: Progress
     ) -> dict[str, dict]:
-        """Name -> what the study says of each movement, which `record` takes.
+        """Record all movements; name -> entry in the study's `trials`.
 
         Args:
-            movements: by name.
-            processes: that work at once.
-            progress: told of every movement.
+            movements: name -> argument of `record`.
+            processes: number that run in parallel.
+            progress: updated with every movement.
         """
         entries: dict[str, dict] = {}
         if processes == 1:
@@ -490,7 +490,7 @@ class Session:
         return {name: entries[name] for name in movements}
 
     def varied(self, vary: Callable, plan, *key: int):
-        """A plan as it is done this time: `vary` has random numbers by key."""
+        """The plan, varied by `vary` if the disturbance "variation" acts."""
         if "variation" not in self.laboratory.disturbances:
             return plan
         return vary(plan, self.rng(3, *key))
@@ -503,14 +503,14 @@ class Session:
         clocks: Clocks | None = None,
         with_moments: bool = False,
     ) -> None:
-        """Write what instruments say of a movement, and what is true.
+        """Write a movement as instruments record it, and the truth.
 
         Args:
-            happened: the movement.
-            rng: of its measurement.
-            mats: that are used.
-            clocks: of the device and the mats; drawn if None.
-            with_moments: whether the device tells its moments.
+            happened: the true movement.
+            rng: of the measurement.
+            mats: mats in use.
+            clocks: lags of device and mats; drawn if None.
+            with_moments: whether the device records its joint moments.
         """
         laboratory = self.laboratory
         laboratory.record_motion(happened, rng)
@@ -522,9 +522,9 @@ class Session:
 
 
 class Campaign(Session):
-    """A session of one who stands up in the shipped exoskeleton.
+    """A session of a subject who stands up in the shipped exoskeleton.
 
-    Arguments are those of `write_campaign`, checked.
+    Arguments are those of `write_campaign`, already checked.
     """
 
     def __init__(
@@ -538,7 +538,7 @@ class Campaign(Session):
     ):
         self.seed = seed
         truth = draw_truth(self.rng(0), active, kind)
-        # Faults are those of the laboratory, whatever is built.
+        # Drawn before the design is worn: faults do not depend on it.
         faults = (
             Faults()
             if kind == "near"
@@ -573,7 +573,7 @@ class Campaign(Session):
         progress: Progress | None = None,
         done: int | None = None,
     ) -> dict:
-        """Simulate a movement, write its files; what the study says of it."""
+        """Simulate a movement and write its files; its entry in `trials`."""
         laboratory = self.laboratory
         plan = self.varied(vary, RisePlan(), *movement.key)
         seat = self.planner.seat(plan)
@@ -605,9 +605,9 @@ class Campaign(Session):
         start_s: float,
         end_s: float,
     ) -> dict:
-        """What the study says of a movement and its used part.
+        """Entry of a movement in the study's `trials`.
 
-        In the assisting device it is predicted, and has moments.
+        Movements with assistance are predicted, and have recorded moments.
         """
         laboratory, name = self.laboratory, movement.name
         assisted = movement.mode == "assisted"
@@ -628,10 +628,10 @@ class Campaign(Session):
         return trial
 
     def study(self, mats: dict, entries: list[dict]) -> dict:
-        """The study file; friction of the device as far as a bench found it.
+        """The contents of study.yaml, with friction as found on a bench.
 
         Args:
-            mats: the section of that name.
+            mats: the section `mats`.
             entries: the section `trials`.
         """
         friction = device_section(
@@ -655,7 +655,7 @@ class Campaign(Session):
 def write_happened(
     folder: Path, movement: Trial, clocks: Clocks | None = None
 ) -> None:
-    """Write what truly happened in a movement, and its clocks' lags."""
+    """Write the true movement, and the lags of its clocks."""
     name, step = movement.name, round(RATE_HZ / MARKER_RATE_HZ)
     write_table(
         folder / f"{name}.sto",
@@ -667,7 +667,7 @@ def write_happened(
 
 
 def vary(plan: RisePlan, rng: np.random.Generator) -> RisePlan:
-    """Another repetition of the same movement by the same subject."""
+    """The plan of another repetition, with random posture and timing."""
 
     def turned(posture: Posture, spread: Posture) -> Posture:
         return Posture(
@@ -694,12 +694,12 @@ def _rise_end(plan: RisePlan) -> float:
 def after_chair(
     movement: Trial, force: np.ndarray, gone: float = _CHAIR_GONE_N
 ) -> float:
-    """When the chair is felt no more, filters' tails included [s].
+    """Time when the chair's force has gone, with the filter's tail [s].
 
     Args:
-        movement: what happened.
-        force: vertical one of the chair, as it is seen.
-        gone: at which there is none [N].
+        movement: the true movement.
+        force: vertical force of the chair, true or as seen [N].
+        gone: threshold below which there is no force [N].
     """
     last = np.flatnonzero(force > gone)[-1]
     return float(movement.times[last] + _AFTER_CHAIR_S)
@@ -708,14 +708,14 @@ def after_chair(
 def _window(
     movement: Trial, plan: RisePlan, rng: np.random.Generator | None
 ) -> tuple[float, float]:
-    """Used part of a trial, to the marker frame [s].
+    """Start and end of a trial's used part, at marker frames [s].
 
     Args:
-        movement: what happened.
-        plan: of it.
-        rng: for those who cut by what plates show: the chair's force comes
-            filtered, with noise and an offset, and its end is where it falls
-            below a threshold that is above both; None for the truth.
+        movement: the true movement.
+        plan: its plan.
+        rng: for a window found from what plates show: the chair's force is
+            filtered, with noise and an offset, and ends where it falls below
+            a threshold above both; None: from the true force.
     """
     force, gone = movement.chair.force_z, _CHAIR_GONE_N
     end = _rise_end(plan)
@@ -730,6 +730,6 @@ def _window(
 
 
 def to_frames(*times: float) -> tuple[float, ...]:
-    """The nearest times of marker frames [s]."""
+    """Times rounded to marker frames [s]."""
     frames = np.round(np.array(times) * MARKER_RATE_HZ)
     return tuple((frames / MARKER_RATE_HZ).tolist())

@@ -1,8 +1,8 @@
-"""Contacts as they are, as systems and along a motion, all samples at once.
+"""True contact of the virtual subject: systems, and functions along a motion.
 
-Cuffs stiffen when pressed in and slip under shear; with neither, they are the
-bushings of the model. The chair is a cushion under the pelvis, felt until
-seat-off. The foot rests on its soles, in a frame in which it is level.
+Cuffs stiffen with deflection and slip under shear; without either they are the
+model's bushings. The chair is a cushion under the pelvis, in contact until
+seat-off. The foot stands on soles in a frame that is level in quiet standing.
 """
 
 from collections.abc import Mapping
@@ -62,7 +62,7 @@ class Cuff:
 
 
 def cuff_force(cuff: Cuff, deflection, rate) -> Components:
-    """Force on the human; `Cuff`'s values broadcast with the deflection.
+    """Force of a cuff on the human; its values broadcast with the deflection.
 
     Args:
         cuff: values of any common shape (...).
@@ -85,11 +85,11 @@ def cuff_force(cuff: Cuff, deflection, rate) -> Components:
 
 
 def _exchanged(cuff: Cuff, poses, motions) -> tuple[Components, BushingWrench]:
-    """Force of a cuff on the human, by its components and in the world.
+    """Force of a cuff on the human, in components and as a world wrench.
 
     Args:
         cuff: the law.
-        poses, motions: of human and device, as `bushing_deflection` has them.
+        poses, motions: of human and device, as in `bushing_deflection`.
     """
     law = cuff.bushing
     deflection, rate = bushing_deflection(
@@ -105,9 +105,9 @@ class Cuffs(LeafSystem):
     Inputs body_poses and body_spatial_velocities; output spatial_forces.
 
     Args:
-        plant: with the links that they join.
+        plant: plant with the links that they join.
         ends: (human link, exoskeleton link) by name.
-        cuffs: by the same names.
+        cuffs: their laws, by the same names.
     """
 
     def __init__(
@@ -147,11 +147,11 @@ class SeatParameters:
     """A horizontal seat and the part of the pelvis that sits on it.
 
     Attributes:
-        height_m: of the unloaded seat above the floor.
+        height_m: height of the unloaded seat above the floor.
         x_m, z_m: centre of the buttocks' sphere in the pelvis link.
-        radius_m: of that sphere.
-        modulus_n_m2, dissipation_s_m: of simbody's law, both sides together.
-        constants: friction and smoothing.
+        radius_m: radius of that sphere.
+        modulus_n_m2, dissipation_s_m: of the law "simbody", both sides as one.
+        constants: friction and smoothing of that law.
     """
 
     height_m: float
@@ -205,7 +205,7 @@ class Seat(LeafSystem):
     Inputs body_poses and body_spatial_velocities; output spatial_forces.
 
     Args:
-        plant: with the link pelvis.
+        plant: plant with the link pelvis.
         seat: the chair.
     """
 
@@ -214,7 +214,7 @@ class Seat(LeafSystem):
         self.set_name("seat")
         self._pelvis = plant.GetBodyByName("pelvis").index()
         self._seat = seat
-        # From there up no posture reaches the seat: nothing to evaluate.
+        # With the pelvis above this no posture reaches the seat.
         reach = np.hypot(seat.x_m, seat.z_m) + seat.radius_m
         self._clear_z = seat.height_m + reach + _CLEARANCE_M
         declare_body_inputs(self, float)
@@ -243,7 +243,7 @@ def feet(tree: PlanarTree) -> list[str]:
 def ground_wrench(
     tree: PlanarTree, contact: GroundContact, q, v, foot: str | None = None
 ) -> PlanarWrench:
-    """Ground reaction (N,) on a foot, the root by default."""
+    """Ground reaction (N samples) on a foot, the root by default."""
     position, angle, motion = tree.link_motion(q, v, foot or tree.root)
     wrench = foot_contact(
         contact.law,
@@ -259,7 +259,7 @@ def ground_wrench(
 def chair_wrench(
     tree: PlanarTree, seat: SeatParameters | None, q, v
 ) -> PlanarWrench:
-    """Force of the chair (N,) on the pelvis; none without a chair."""
+    """Wrench of the chair (N samples) on the pelvis; zero without one."""
     if seat is None:
         return PlanarWrench(np.zeros((len(q), 2)), np.zeros(len(q)))
     position, angle, motion = tree.link_motion(q, v, "pelvis")
@@ -271,10 +271,11 @@ def chair_wrench(
 def interaction(
     tree: PlanarTree, cuffs: dict[str, Cuff], q, v
 ) -> tuple[dict[str, CuffForce], dict[str, PlanarWrench]]:
-    """Cuff forces along a motion.
+    """Forces of the cuffs along a motion of N samples.
 
     Returns:
-        Cuff -> its force (N,) on the human, and the wrench on the human.
+        Cuff -> force on the human by component (N,), and cuff -> the same as a
+        wrench about the world's origin.
     """
     forces, wrenches = {}, {}
     for name, cuff in cuffs.items():
@@ -310,7 +311,7 @@ def applied(
 
 
 def _total(wrench) -> PlanarWrench:
-    """Sum over the last axis, moment about the origin."""
+    """Sum of sphere wrenches over the last axis, about the origin."""
     return PlanarWrench.of(np.stack(wrench.about_origin, axis=1).sum(axis=-1))
 
 
@@ -327,9 +328,9 @@ def resting_foot(
     """Foot coordinates x = 0, z, pitch (n, 3) under vertical loads (n,) [N].
 
     Args:
-        tree: a model with that foot.
+        tree: a model whose root is that foot.
         contact: of the foot with the ground.
-        load: borne at rest.
+        load: vertical force at rest, (n,) [N].
         cop_m: centre of pressure in front of the ankle.
     """
     q = np.zeros((len(load), tree.num_positions))
@@ -363,7 +364,7 @@ def levelled(
 ) -> GroundContact:
     """The same soles in a foot frame that is level in quiet standing.
 
-    That is the frame which markers give, so truth and measurement agree.
+    Markers give that frame, so places in truth and measurement are comparable.
     """
     for _ in range(_PASSES):
         foot = resting_foot(tree, contact, np.array([weight]), cop_m)

@@ -1,13 +1,12 @@
-"""From what happened to what a laboratory's instruments say.
+"""The virtual laboratory's instruments: from the true motion to recordings.
 
-The subject wears 56 markers, as in the paper. Their places are in the links'
-frames, in parts of what scales with the body: the length of the segment and, of
-the foot, the height of the ankle. Errors are what stands between bones and
-marker positions.
+The subject wears 56 markers, as in the paper. Their places in the links' frames
+scale with the segment's length and, on the foot, with the ankle's height.
+Their errors are noise, gaps, and skin that slides and turns on the bones.
 
 Every cuff presses on the front and the back of the segment; straps hold it
 with a tension, so both of its pressure mats see pressure at rest. The resultant
-along the segment's x is the cuff's normal force. A scan says where mats lie.
+along the segment's x is the cuff's normal force. A scan gives the mats' places.
 """
 
 from collections.abc import Collection, Iterable, Sequence
@@ -44,7 +43,7 @@ class Marker:
     Attributes:
         body: link of the human.
         x_m, z_m: place in the link's frame.
-        y_m: to the left of the body's midplane.
+        y_m: distance to the left of the body's midplane.
     """
 
     body: str
@@ -54,16 +53,16 @@ class Marker:
 
     @property
     def segment(self) -> str:
-        """Its link, whichever leg it is of."""
+        """Name of its link without the leg's side."""
         return self.body.split("_")[0]
 
     @property
     def side(self) -> str:
-        """Of the midplane."""
+        """Side of the midplane that it is on."""
         return "left" if self.y_m > 0.0 else "right"
 
 
-# Of each leg: link, x and z [m], z [segment's length], outwards [m].
+# Markers of each leg: link, x and z [m], z [segment's length], outwards [m].
 _LEG = {
     "SHK1": ("shank", 0.040, 0.0, 0.30, 0.01),
     "SHK2": ("shank", -0.045, 0.0, 0.42, 0.03),
@@ -79,14 +78,14 @@ _LEG = {
     "MKNE": ("thigh", 0.005, -0.004, 0.0, -0.055),
     "TROC": ("thigh", 0.000, 0.0, 1.0, 0.09),
 }
-# Of each foot: x [foot's length], z [ankle's height], outwards [m].
+# Markers of each foot: x [foot's length], z [ankle's height], outwards [m].
 _FOOT = {
     "CAL": (-0.215, -0.55, 0.0),
     "MT1": (0.470, -0.60, -0.04),
     "MT5": (0.400, -0.70, 0.05),
     "TOE": (0.600, -0.65, 0.0),
 }
-# Of pelvis and trunk, on both sides: x [m], z [hip to vertex], y [m].
+# Markers of the trunk on both sides: x [m], z [hip to vertex], y [m].
 _SIDED_TRUNK = {
     "ASI": (0.090, 0.090, 0.13),
     "PSI": (-0.110, 0.100, 0.05),
@@ -96,7 +95,7 @@ _SIDED_TRUNK = {
     "FHD": (0.090, 0.900, 0.07),
     "BHD": (-0.090, 0.910, 0.07),
 }
-# On the midline: x [m], z [hip to vertex].
+# Markers of the trunk on the midline: x [m], z [hip to vertex].
 _MIDDLE_TRUNK = {
     "SACR": (-0.130, 0.080),
     "L1": (-0.110, 0.240),
@@ -115,8 +114,8 @@ def marker_set(
     """All markers by name, left and right legs alike.
 
     Args:
-        human: who wears them.
-        sides: of the legs that move on their own.
+        human: the wearer.
+        sides: of the model's legs; empty if one leg stands for both.
     """
     markers = {}
     foot, trunk = human.foot.length_m, human.pelvis.length_m
@@ -180,7 +179,7 @@ def study_markers() -> dict:
 
 
 NOISE_M = 3e-4
-# Spread of how far skin slides for each radian of the joint nearby [m/rad].
+# Standard deviation of the skin's slide per flexion of the joint [m/rad].
 _SLIDE = {"foot": 0.0, "shank": 0.004, "thigh": 0.006, "pelvis": 0.004}
 _JOINT = {"foot": "ankle", "shank": "knee", "thigh": "knee", "pelvis": "hip"}
 _NEIGHBOURS = {
@@ -193,23 +192,23 @@ _GAP_FRAMES = (4, 13)
 
 
 def slides(markers: dict[str, Marker], rng: np.random.Generator) -> np.ndarray:
-    """How each marker slides (M, 2) along x and z of its link [m/rad]."""
+    """Slide of each marker (M, 2) along x, z of its link [m/rad], drawn."""
     spread = np.array([_SLIDE[m.segment] for m in markers.values()])
     return spread[:, None] * rng.normal(size=(len(markers), 2))
 
 
 @dataclass(frozen=True)
 class Skin:
-    """How the markers of a segment turn on it with what lies beneath.
+    """Rotation of a segment's markers, on their skin, relative to the bone.
 
-    By linear * f + quadratic * f^2 about their middle, f being flexion of the
-    neighbouring joints a lag before, each by its share.
+    The angle is linear * f + quadratic * f^2 about the markers' middle, where f
+    is the weighted flexion of the neighbouring joints, `lag_s` before.
 
     Attributes:
-        shares: joint -> its share of f.
+        shares: joint -> its weight in f; weights sum to 1.
         linear: [rad/rad].
         quadratic: [rad/rad^2].
-        lag_s: lag.
+        lag_s: delay of the skin.
     """
 
     shares: dict[str, float]
@@ -218,7 +217,7 @@ class Skin:
     lag_s: float
 
     def turn(self, tree: PlanarTree, q: np.ndarray, rate_hz: float):
-        """Angle (N,) [rad] along a motion q (N, nq) of that rate."""
+        """Angle (N,) [rad] along a motion q (N, nq) sampled at `rate_hz`."""
         joints = [tree.coordinates.index(name) for name in self.shares]
         f = q[:, joints] @ np.array(list(self.shares.values()))
         before = np.arange(len(f)) - self.lag_s * rate_hz
@@ -227,7 +226,7 @@ class Skin:
 
 
 def draw_skin(rng: np.random.Generator) -> dict[str, Skin]:
-    """Skin of the segments that have some, by name.
+    """Segment -> skin drawn for it; none on the foot.
 
     Thigh artefacts are close to linear in the flexions of hip and knee,
     subject by subject (Camomilla et al., J. Biomechanics 46, 2013).
@@ -254,7 +253,7 @@ def turned_skin(
     markers: dict[str, Marker],
     skin: dict[str, Skin],
 ) -> np.ndarray:
-    """Displacement (N, M, 3) by skin that turns, in OpenSim's axes [m]."""
+    """Displacement (N, M, 3) of markers by `Skin`, in OpenSim's axes [m]."""
     moved = np.zeros((len(q), len(markers), 3))
     for body, own in skin.items():
         on = [i for i, m in enumerate(markers.values()) if m.body == body]
@@ -273,10 +272,10 @@ def soft_tissue(
     markers: dict[str, Marker],
     slide: np.ndarray,
 ) -> np.ndarray:
-    """Displacement (N, M, 3) by sliding skin in OpenSim's axes [m].
+    """Displacement (N, M, 3) of markers by `slides`, in OpenSim's axes [m].
 
-    In proportion to the flexion of the joint nearby, so that there is next
-    to none in standing, where markers are placed.
+    It is proportional to flexion of the joint nearby, so there is next to none
+    in standing, where the model's markers are placed.
     """
     moved = np.zeros((len(q), len(markers), 3))
     for i, marker in enumerate(markers.values()):
@@ -306,7 +305,7 @@ CELL_AREA_M2 = 2e-4
 _STEP_PA = 2500.0
 _LARGEST_PA = 30000.0
 _PITCH_M = np.sqrt(CELL_AREA_M2)
-_PATCH_RAD, _PATCH_M = 0.45, 0.02  # of the pressed area, around and along
+_PATCH_RAD, _PATCH_M = 0.45, 0.02  # widths of the patch, around and along
 _FACETS = 96
 
 
@@ -315,13 +314,14 @@ class MatDesign:
     """A mat on one face of a segment.
 
     Attributes:
-        cuff: that presses on it.
+        cuff: name of the cuff that presses on it.
         body: link of the human that it lies on.
         face: "front" or "back".
-        rows, columns: cells; rows run around the segment or along it.
-        around: which of them runs around.
-        legs: where one leg stands for both, "left" for a mat on that leg
-            alone; None on a person of two legs.
+        rows, columns: numbers of cells.
+        around: which index counts around the segment, "rows" or "columns"; the
+            other counts along it.
+        legs: if one leg stands for both, "left" for a mat on that leg alone,
+            else "both"; None on a person of two legs.
     """
 
     cuff: str
@@ -334,17 +334,17 @@ class MatDesign:
 
     @property
     def name(self) -> str:
-        """Of the mat in study and files."""
+        """Name of the mat in study and files."""
         return f"{self.cuff}_{self.face}"
 
     @property
     def segment(self) -> str:
-        """That it lies on, whichever leg it is of."""
+        """Segment that it lies on, without the leg's side."""
         return self.body.split("_")[0]
 
     @property
     def tension_n(self) -> float:
-        """Of the straps whose force it shows, or shows a share of [N]."""
+        """Straps' tension: both legs', or one leg's of two [N]."""
         own_leg = self.legs is None and self.body != self.segment
         return (0.5 if own_leg else 1.0) * _TENSION_N[self.segment]
 
@@ -372,7 +372,7 @@ def _faces(cuff: str, body: str, legs: str | None) -> list[MatDesign]:
     ]
 
 
-# Of the shipped exoskeleton: there are mats for the pelvis or for one leg.
+# Mats on the shipped exoskeleton: at the pelvis or on one leg.
 CONFIGURATIONS = {
     "pelvis": tuple(_faces("pelvis", "pelvis", "both")),
     "legs": tuple(
@@ -382,7 +382,7 @@ CONFIGURATIONS = {
 
 
 def mats_of(model: Model) -> tuple[MatDesign, ...]:
-    """Mats under every cuff of two legs; none lie on feet."""
+    """Mats under every cuff of a person of two legs, except on feet."""
     ends = {cuff: human for cuff, (human, _) in model.tree.cuffs.items()}
     return tuple(
         mat
@@ -404,12 +404,12 @@ _MOMENT_NOISE_NM = 0.2
 _OFFSET = np.array([2.0, 4.0, 0.5])  # F_x, F_z [N], M_y [N m]
 _DRIFT = np.array([0.5, 1.5, 0.2])  # over a recording
 _WIDE_DRIFT = np.array([2.0, 5.0, 0.5])
-_EMPTY, _EMPTY_S = "plates_empty", 2.0  # its recording
+_EMPTY, _EMPTY_S = "plates_empty", 2.0  # recording of the empty plates
 _ANGLE_NOISE = np.deg2rad(0.02)
 _ANGLE_STEP = np.deg2rad(0.01)
 _EXO_MOMENT_NOISE_NM = 0.1
 
-# Middle, along the walkway and to the right, of each plate [m].
+# Middle of each plate, forward and to the right [m].
 _MIDDLE = {
     "left": (0.06, -HALF_STANCE_M),
     "right": (0.06, HALF_STANCE_M),
@@ -433,22 +433,22 @@ class Clocks:
 
 
 def drawn_clocks(rng: np.random.Generator, active: frozenset[str]) -> Clocks:
-    """Lags of a movement's clocks; numbers are drawn whatever is active."""
+    """Lags of a movement's clocks; drawn also if "clocks" is not active."""
     lags = rng.uniform(-LARGEST_LAG_S, LARGEST_LAG_S, 2).round(3)
     return Clocks(*lags.tolist()) if "clocks" in active else Clocks()
 
 
 @dataclass(frozen=True)
 class Faults:
-    """What instruments of a wide truth get wrong; nothing by default.
+    """Systematic errors of instruments with a wide truth; none by default.
 
     Attributes:
-        skin: segment -> how markers turn on it.
-        left_share: of what both legs bear and press.
+        skin: segment -> how its skin turns.
+        left_share: left leg's share of ground and cuff forces.
         encoder_offset_rad: of the device's ankle, knee, hip.
         mat_share: cuff -> share of its force that mats see.
-        friction_share: of the device's joints, that the bench found.
-        plate_drift: over a recording, F_x, F_z [N], M_y [N m].
+        friction_share: share of each joint's friction that the bench found.
+        plate_drift: largest drift over a recording, F_x, F_z [N], M_y [N m].
         noisy_windows: whether trials are cut by what plates show.
     """
 
@@ -464,12 +464,12 @@ class Faults:
 def draw_faults(
     rng: np.random.Generator, active: frozenset[str], cuffs: Iterable[str]
 ) -> Faults:
-    """Faults of a wide truth.
+    """Draw the faults of a wide truth.
 
     Args:
         rng: numbers are drawn in the same order whatever is active.
-        active: disturbances.
-        cuffs: with mats.
+        active: names of the disturbances that act.
+        cuffs: names of the cuffs.
     """
 
     def several(low: float, high: float) -> tuple[float, ...]:
@@ -493,7 +493,7 @@ def draw_faults(
 
 @dataclass(frozen=True)
 class Laboratory:
-    """The equipment, the same for all movements.
+    """The instruments, the same for all movements, and the files they write.
 
     Attributes:
         folder: where files go.
@@ -501,11 +501,11 @@ class Laboratory:
         files: "c3d" (markers and plates in one .c3d, device as .csv) or
             "opensim" (.trc and .mot).
         markers: on the subject, by name.
-        slide: (M, 2) of the skin under them.
-        offsets: plate -> F_x, F_z, M_y of the empty plate.
+        slide: (M, 2) slide of the skin under them [m/rad], see `slides`.
+        offsets: plate -> F_x, F_z [N], M_y [N m] of the empty plate.
         disturbances: names of those that act.
-        faults: of a wide truth.
-        walkway_m: by which the feet's plates go on forward.
+        faults: systematic errors.
+        walkway_m: how far the feet's plates are extended forward.
     """
 
     folder: Path
@@ -525,20 +525,20 @@ class Laboratory:
             )
 
     def motion_files(self, name: str) -> dict[str, str]:
-        """Names of the files of markers and forces."""
+        """File names "markers" and "forces" of a recording."""
         if self.files == "c3d":
             return {"markers": f"{name}.c3d", "forces": f"{name}.c3d"}
         return {"markers": f"{name}.trc", "forces": f"{name}_forces.mot"}
 
     def device_file(self, name: str, what: str) -> str:
-        """Name of a file of the device: "encoders" or "moments"."""
+        """Name of the device's file of "encoders" or "moments"."""
         return f"{name}_{what}.{'csv' if self.files == 'c3d' else 'mot'}"
 
     def record_motion(self, movement: Trial, rng, hidden=True) -> None:
         """Write markers at 100 Hz and plates at 1000 Hz.
 
         Args:
-            movement: what happened.
+            movement: the true movement.
             rng: of this recording.
             hidden: whether markers may be hidden at times.
         """
@@ -569,13 +569,13 @@ class Laboratory:
 
     @property
     def empty_files(self) -> dict[str, str]:
-        """What a study says of plates with nothing on them, if they drift."""
+        """The study's key `empty_plates`, if plates drift."""
         if "plate_drift" not in self.disturbances:
             return {}
         return {"empty_plates": self.motion_files(_EMPTY)["forces"]}
 
     def record_empty(self, rng) -> None:
-        """Write the plates with nothing on them, if they drift."""
+        """Write a recording of the empty plates, if plates drift."""
         if not self.empty_files:
             return
         n = round(_EMPTY_S * RATE_HZ) + 1
@@ -648,14 +648,12 @@ class Laboratory:
     def record_pressure(
         self, movement: Trial, mats: Sequence[MatDesign], lag_s: float
     ) -> None:
-        """Write the mats' pressures as Novel's software exports them.
-
-        Nothing where there are no mats.
+        """Write the mats' pressures, if any, as Novel's software exports them.
 
         Args:
-            movement: what happened.
+            movement: the true movement.
             mats: in the order of the file's columns.
-            lag_s: of the mats' clock.
+            lag_s: lag of the mats' clock.
         """
         if not mats:
             return
@@ -691,8 +689,8 @@ def plate_recording(
 ) -> PlateRecording:
     """A plate's force, point and free moment in OpenSim's axes.
 
-    Below 20 N the point is the plate's middle, and the free moment makes up
-    for it, so that the wrench stays what it was.
+    Below 20 N the point is the plate's middle, and the free moment compensates,
+    so that the wrench is the same.
     """
     F_x, F_z = wrench.force.T
     x, right = _MIDDLE[place]
@@ -700,8 +698,8 @@ def plate_recording(
     force[:, 0], force[:, 1] = F_x, F_z
     point[:, 0] = np.where(wrench.is_loaded, wrench.cop_x, x)
     point[:, 2] = right
-    # About y (left) in the plane, so about -z (right) in the file; a force
-    # off the midline has no part in it, its moments are about x and y.
+    # M_y is about y (left), so about -z (right) in the file. The force's offset
+    # from the midline has no part in it: its moments are about x and y.
     torque[:, 2] = -(wrench.moment + point[:, 0] * F_z)
     return PlateRecording(number, force, point, torque)
 
@@ -726,7 +724,7 @@ def _z_up(values: np.ndarray) -> np.ndarray:
 
 
 def _resized(plate: PlateRecording, count: int) -> PlateRecording:
-    """The first `count` samples, the last one repeated, z up."""
+    """Resized to `count` samples, z up; the last sample is repeated."""
     i = np.minimum(np.arange(count), len(plate.force) - 1)
     parts = (_z_up(x[i]) for x in (plate.force, plate.point, plate.torque))
     return PlateRecording(plate.number, *parts)
@@ -747,7 +745,7 @@ def _corners(place: str, walkway_m: float = 0.0) -> np.ndarray:
 
 
 def _sampled(movement: Trial, values, at) -> np.ndarray:
-    """Values (N, k) at other times; the ends' values beyond the ends."""
+    """Values (N, k) interpolated at times `at`, held beyond the ends."""
     columns = [np.interp(at, movement.times, column) for column in values.T]
     return np.column_stack(columns)
 
@@ -757,8 +755,8 @@ def cell_pressures(
 ) -> np.ndarray:
     """Pressure (N, cells) under the cuff's normal force (N,) [Pa].
 
-    Front and back differ by the force and multiply to the square of the
-    straps' tension, so that neither ever pulls.
+    The forces on front and back differ by the normal force, and their product
+    is the square of the straps' tension, so neither ever pulls.
     """
     middle = np.hypot(0.5 * normal, mat.tension_n)
     side = middle + (0.5 if mat.face == "back" else -0.5) * normal
@@ -799,7 +797,7 @@ def cells(mat: MatDesign, model: Model):
 
 
 def _even_angles(a, b, count, middle) -> np.ndarray:
-    """Parameters of an ellipse a cell apart, about its front or back."""
+    """Ellipse parameters (count,) one cell of arc apart, about `middle`."""
     fine = np.linspace(-np.pi, np.pi, 4001)
     x, y = a * np.cos(fine + middle), b * np.sin(fine + middle)
     s = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
@@ -816,10 +814,10 @@ def write_scans(
         folder: receives scan_SEGMENT.obj and cells_MAT.csv.
         model: wearer and device.
         q: (nq,) standing posture.
-        mats: that lie on them.
+        mats: mats on the segments.
 
     Returns:
-        The section `mats` of the study, by name.
+        The study's section `mats`: mat -> its entry.
     """
     section = {}
     for mat in mats:
@@ -854,7 +852,7 @@ def write_scans(
 
 
 def _placed(tree: PlanarTree, q, body):
-    """Function from the segment's frame to x forward, y left, z up."""
+    """Function from a segment's frame to the world, (n, 3) to (n, 3)."""
     q = np.asarray(q)[None]
     x, z = tree.point_positions(q, body, (0.0, 0.0))[0]
     angle = tree.body_angles(q, body)[0]
