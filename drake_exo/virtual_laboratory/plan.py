@@ -1,12 +1,10 @@
-"""What the subject means to do: rise so that the feet can stay where they are.
+"""Planned movements of the virtual subject, and the controllers that follow.
 
-The reference motion of ankle, knee and hip is a spline that comes out of a
-small least-squares problem: near a template (sit, lean forward, rise, stand),
-smooth, and with the centre of pressure under the feet where it is wanted. The
-chair carries what its cushion gives. Loads and feed-forward torques are those
-of the rigid model.
-
-Who follows it is the subject's controller; the device helps with its own.
+The reference motion of ankle, knee and hip is a spline found by a small
+least-squares problem: near a template (sit, lean forward, rise, stand), smooth,
+and with the wanted centre of pressure under feet that stay in place. The chair
+bears what its cushion gives. Loads and feed-forward torques are those of the
+rigid model. `SubjectController` follows the plan; `DeviceController` helps.
 """
 
 from collections.abc import Callable
@@ -44,19 +42,19 @@ _NODE_S = 0.02
 _HIP_HEIGHT_M = 0.9
 _DIFFERENCE = 1e-6
 
-# Standard deviations of the template, the larger they are the freer the plan.
+# Standard deviations of the least-squares terms.
 _QUIET_DEG = 0.3
 _MOVING_DEG = 8.0
 _COP_M = 0.004
 _SEAT_SHARE = 0.03  # of the weight
 _JERK = 80.0  # rad/s^3
-# When the weight leaves the chair, in parts of the time of leaning forward.
+# Begin and end of unloading the chair, in parts of the time of leaning forward.
 _UNLOADING = (0.35, 1.0)
 
 
 @dataclass(frozen=True)
 class Posture:
-    """A posture over resting feet, angles in degrees.
+    """A posture on resting feet, angles in degrees.
 
     Attributes:
         shank: forward lean of the shank.
@@ -69,7 +67,7 @@ class Posture:
     trunk: float
 
     def joints(self, pitch: np.ndarray) -> np.ndarray:
-        """ankle, knee, hip (n, 3) [rad] on feet of pitch (n,) [rad]."""
+        """Ankle, knee, hip angles (n, 3) [rad], feet at pitch (n,) [rad]."""
         hip = self.knee - self.shank + self.trunk
         flat = np.deg2rad([self.shank, self.knee, hip])
         return flat + np.outer(pitch, [1.0, 0.0, 0.0])
@@ -77,13 +75,13 @@ class Posture:
 
 @dataclass(frozen=True)
 class RisePlan:
-    """How a sit-to-stand is meant to go.
+    """Postures and timing of a planned sit-to-stand.
 
     Attributes:
         seated: posture on the chair.
         leant: posture around seat-off.
         standing: final posture.
-        quiet_s, lean_s, rise_s, stand_s: lengths of sitting still, leaning
+        quiet_s, lean_s, rise_s, stand_s: durations of sitting still, leaning
             forward, rising and standing still.
         cop_m: centre of pressure in front of the ankle.
     """
@@ -99,7 +97,7 @@ class RisePlan:
 
     @property
     def duration(self) -> float:
-        """Length of the whole recording [s]."""
+        """Duration of the whole recording [s]."""
         return self.quiet_s + self.lean_s + self.rise_s + self.stand_s
 
     @property
@@ -115,10 +113,10 @@ class Reference:
 
     Attributes:
         times: (n,) from 0 [s].
-        q, v: (n, 6) coordinates and velocities, feet at rest.
-        torque: (n, 3) ankle, knee, hip [N m].
-        ground: (n, 3) F_x, F_z [N], M_y about the origin that feet bear.
-        seat: (n, 3) the same of the chair.
+        q, v: (n, nq) coordinates and velocities; six with one leg.
+        torque: (n, joints) of the human [N m]; with one leg ankle, knee, hip.
+        ground: (n, 3) F_x, F_z [N], M_y [N m] about the origin on the feet.
+        seat: (n, 3) the same of the chair on the pelvis.
     """
 
     times: np.ndarray
@@ -133,8 +131,8 @@ class Planner:
     """Plans movements of one subject.
 
     Args:
-        tree: the rigid 6-DOF model.
-        contact: foot-ground contact, in which the feet sink.
+        tree: the rigid model with one leg (six coordinates).
+        contact: foot-ground contact, into which the feet sink.
     """
 
     def __init__(self, tree: PlanarTree, contact: GroundContact):
@@ -143,7 +141,7 @@ class Planner:
         self.weight = tree.weight
 
     def standing(self, duration: float, cop_m: float) -> Reference:
-        """Quiet standing, trunk upright, over a centre of pressure."""
+        """Quiet standing, trunk upright, with the given centre of pressure."""
         times = np.linspace(0.0, duration, 11)
         foot = self._foot(np.array([self.weight]), cop_m)
         posture = RisePlan().standing
@@ -156,7 +154,7 @@ class Planner:
         return self._reference(None, times, q, 0.0 * q, 0.0 * q)
 
     def seat(self, plan: RisePlan) -> SeatParameters:
-        """A chair on which the seated posture is in equilibrium."""
+        """The chair of the height at which the seated posture is at rest."""
         q, share = self._seated(plan)
         seat = SeatParameters(height_m=0.0)
         z = self.tree.point_positions(q, "pelvis", (seat.x_m, seat.z_m))[0, 1]
@@ -164,7 +162,7 @@ class Planner:
         return SeatParameters(float(z) - seat.radius_m + depth)
 
     def rise(self, plan: RisePlan, seat: SeatParameters) -> Reference:
-        """A sit-to-stand from a chair made for its seated posture."""
+        """A sit-to-stand from the chair that `seat` gives for the plan."""
         times = plan.times
         begin, end = plan.quiet_s + plan.lean_s * np.array(_UNLOADING)
         share = self._seated(plan)[1] * (
@@ -177,8 +175,8 @@ class Planner:
         """From standing to the leant posture and back, without a chair.
 
         Args:
-            plan: whose lean_s and rise_s are the ways down and up; its seated
-                posture is another standing one.
+            plan: its lean_s and rise_s are the durations of going down and up;
+                its seated posture must be a standing one.
         """
         none = np.zeros(len(plan.times))
         foot = self._foot(self.weight + none, plan.cop_m)
@@ -200,9 +198,9 @@ class Planner:
         return resting_foot(self.tree, self.contact, load, cop_m)
 
     def _solve(self, plan, seat, foot, wanted) -> Reference:
-        """Least squares for the joints' coefficients.
+        """Solve least squares for the joints' spline coefficients.
 
-        The foot (n, 3) and the chair's share (n,) of the weight are given.
+        The foot (n, 3) and the chair's wanted share (n,) of weight are given.
         """
         basis, times = _basis(plan.duration), plan.times
         B, B_v, B_a, B_j = (basis.derivative(k)(times) for k in range(4))
@@ -247,7 +245,7 @@ class Planner:
         return self._reference(seat, times, *motion(c))
 
     def _loads(self, seat, q, v, a):
-        """Wrenches (n,) of the ground on the feet and of the seat."""
+        """Wrenches (n samples) of ground on feet and of seat on pelvis."""
         chair = chair_wrench(self.tree, seat, q, v)
         needed = inverse_dynamics(self.tree, q, v, a, {"pelvis": chair})
         ground = self.tree.ground_reaction(q, needed)
@@ -262,7 +260,7 @@ class Planner:
 
 
 def _basis(duration: float) -> BSpline:
-    """All basis functions at once, at rest at both ends."""
+    """B-spline basis whose functions are at rest at both ends."""
     count = round(duration / _KNOT_S)
     inner = np.linspace(0.0, duration, count + 1)
     knots = np.r_[[0.0] * _DEGREE, inner, [duration] * _DEGREE]
@@ -273,7 +271,7 @@ def _basis(duration: float) -> BSpline:
 
 
 def _template(plan: RisePlan, times, pitch):
-    """Angles (n, 3) that the plan stays near, and how near (n,) [rad]."""
+    """Template angles (n, 3), their standard deviations (n,) [rad]."""
     at = np.cumsum([0.0, plan.quiet_s, plan.lean_s, plan.rise_s])
     postures = [
         p.joints(pitch) for p in (plan.seated, plan.leant, plan.standing)
@@ -290,11 +288,11 @@ def _template(plan: RisePlan, times, pitch):
 def _banded_differences(
     residuals: Callable[[np.ndarray], np.ndarray], touches: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Jacobian by differences, coefficients that do not meet all at once.
+    """Jacobian by differences that moves coefficients without overlap at once.
 
     Args:
-        residuals: of coefficients (m * 3,), shape (n, k).
-        touches: (n, m) which coefficient acts at which node.
+        residuals: function of coefficients (m * 3,), shape (n, k).
+        touches: (n, m) bool, which coefficient acts at which node.
     """
     n, m = touches.shape
     group_count = _DEGREE + 1
@@ -316,11 +314,11 @@ def _banded_differences(
     return jacobian
 
 
-# Of the subject's own feedback, both legs together.
+# Gains of the subject's feedback, both legs together.
 _STIFFNESS = {"ankle": 3000.0, "knee": 2000.0, "hip": 2000.0}  # N m/rad
 _DAMPING = {"ankle": 250.0, "knee": 120.0, "hip": 120.0}  # N m s/rad
 _SAMPLE_S = 1e-3
-# The device helps when the feet bear this much of the weight.
+# Shares of the weight on the feet from which, and fully at which, it helps.
 _ENGAGED = (0.5, 0.9)
 
 
@@ -331,7 +329,7 @@ class Friction:
     Attributes:
         viscous: of each joint: ankle, knee, hip [N m s/rad].
         coulomb: likewise [N m].
-        speed: at which tanh(1) of the dry friction acts [rad/s].
+        speed: rate at which tanh(1) = 76 % of dry friction acts [rad/s].
     """
 
     viscous: tuple[float, ...] = (0.0, 0.0, 0.0)
@@ -352,9 +350,10 @@ class SubjectController(LeafSystem):
     Args:
         names: coordinates of the coupled model.
         reference: the plan; its ends are held before and after.
-        help_expected: (n, k) torques that the device is trusted with.
-        held: what is held against the plan, rows of the body's coordinates;
-            by default one for each joint.
+        help_expected: (n, k) torques expected of the device, which the
+            feed-forward leaves to it [N m].
+        held: (m, body's coordinates) linear combinations of coordinates that
+            feedback holds to the plan; by default `held_rows`.
     """
 
     def __init__(
@@ -385,28 +384,30 @@ class SubjectController(LeafSystem):
                 reference.torque - help_expected,
             ]
         )
-        # Looked up ten thousand times: a table is quicker than the spline.
+        # Evaluated ten thousand times: a table is faster than the spline.
         self._table = CubicSpline(reference.times, plan)(times)
-        self._ground: list[InputPort] = []  # of feet that tell their loads
+        self._ground: list[InputPort] = []  # ports of the feet's loads
         self.DeclareVectorInputPort("state", 2 * self._nq)
         self.DeclareVectorOutputPort("torques", len(joints), self._calc)
 
     def torques(self, time, q, v, loads=None) -> np.ndarray:
-        """Torques (..., k) at times (...) and states (..., nq).
+        """Torques (..., k) [N m] at times (...) and states (..., nq).
 
-        Both feet stand: what either bears (..., 2) changes nothing.
+        Loads of the feet (..., 2) are ignored, since both feet stand.
         """
         error, rate, torque = self.off(time, q, v)
         return torque + self._stiffness * error + self._damping * rate
 
     def off(self, time, q, v) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What is held and its rate lack of the plan, and the plan's torques.
+        """Errors of the held quantities (plan minus actual) and of their rates.
+
+        The third value is the feed-forward torques (..., k) [N m].
 
         Args:
-            time: (...).
-            q, v: (..., nq).
+            time: (...) [s].
+            q, v: (..., nq) coordinates and velocities.
         """
-        # Not np.clip: of a single number it takes ten times as long.
+        # Not np.clip: for a single number it takes ten times as long.
         at = np.minimum(np.maximum(time / self._step, 0.0), self._last + 1.0)
         i = np.minimum(at.astype(int), self._last)
         share = (at - i)[..., None]
@@ -425,10 +426,10 @@ class SubjectController(LeafSystem):
 
 
 def held_rows(names: Coordinates) -> np.ndarray:
-    """What the feedback holds, (k, body's coordinates).
+    """Quantities that feedback holds by default, (k, body's coordinates).
 
-    The ankle holds the shank against the vertical, not against the foot: on
-    soft soles a foot that tips would otherwise take the body along.
+    Knee and hip hold their angles, but the ankle the shank's lean against the
+    vertical: on soft soles a tipping foot would otherwise tip the body.
     """
     rows = dict(zip(names.body, np.eye(len(names.body)), strict=True))
     pitch, held = rows[names.root[-1]], []
@@ -445,29 +446,29 @@ def held_rows(names: Coordinates) -> np.ndarray:
 
 
 def comes_in(share, low: float, high: float):
-    """From 0 at a share of the weight of `low` to 1 at `high`, smoothly."""
+    """Smooth step of a share of the weight: 0 below `low`, 1 above `high`."""
     s = (share - low) / (high - low)
     s = np.minimum(np.maximum(s, 0.0), 1.0)
     return s * s * (3.0 - 2.0 * s)
 
 
 class DeviceController(LeafSystem):
-    """The exoskeleton's joints: friction, and help against gravity.
+    """Torques of the exoskeleton's joints: friction, and help against gravity.
 
-    Knows its own encoders and the load on its foot-plates: it bears a share
-    of the torque that gravity asks of somebody who holds the posture of the
-    device, as soon as the feet are loaded.
+    It uses only its own angles and the load on its foot-plates: once the feet
+    are loaded, it gives a share of the torque that gravity demands of a person
+    in the device's posture.
 
-    Inputs state and ground_reaction; output torques: exo_ankle, exo_knee,
-    exo_hip [N m].
+    Inputs state and, if it helps, ground_reaction; output torques, one for each
+    joint of the device [N m].
 
     Args:
         model: the coupled one.
-        share: of the gravity torque at each of its joints; only a device
-            of ankle, knee and hip helps.
+        share: share of the gravity torque at exo_ankle, exo_knee and exo_hip;
+            empty for a passive device, the only choice for others.
         friction: of the joints.
-        design: what it makes of the help.
-        span: begin and end of what a factor over the movement is over [s].
+        design: how it changes the help.
+        span: begin and end of the movement, for a factor over it [s].
     """
 
     def __init__(
@@ -493,12 +494,12 @@ class DeviceController(LeafSystem):
         self.DeclareVectorOutputPort("torques", len(self._columns), self._calc)
 
     def torques(self, times, angles, rates, load) -> np.ndarray:
-        """Torques (N, 3) at times, angles and rates (N, 3), F_z (N,) [N]."""
+        """Torques (N, m) at times (N,), angles, rates (N, m), F_z (N,) [N]."""
         drive = self.help(times, angles, rates, load)
         return drive + self._friction.torques(rates)
 
     def help(self, times, angles, rates, load) -> np.ndarray:
-        """What the drives give, without friction."""
+        """Torques of the drives alone, without friction, (N, m) [N m]."""
         if not self._share.any():
             return np.zeros_like(angles)
         joints = self._tree.coordinates.joint_columns
@@ -529,7 +530,7 @@ class DeviceController(LeafSystem):
 def controller(
     names: Coordinates, subject: SubjectController, device: DeviceController
 ) -> Diagram:
-    """Both as one system with the output joint_torques."""
+    """Subject and device as one system with the output joint_torques."""
     builder = DiagramBuilder()
     sizes = [s.GetOutputPort("torques").size() for s in (subject, device)]
     joined = builder.AddSystem(Multiplexer(sizes))

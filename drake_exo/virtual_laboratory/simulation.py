@@ -1,8 +1,8 @@
 """One movement of the virtual subject, simulated as a Drake diagram.
 
 Plant, foot-ground contact, cuffs and chair are systems of the diagram; the
-subject is a controller that follows its plan. What a laboratory would measure
-comes out of the simulation, not out of the plan.
+subject is a controller that follows its plan. Measurements are made of the
+simulated motion, which differs from the plan.
 """
 
 from functools import reduce
@@ -37,7 +37,7 @@ from drake_exo.virtual_laboratory.truth import Truth
 
 RATE_HZ = 1000.0
 _SETTLE_S = 0.4
-_ASTRAY_M = 0.1  # of a pelvis that still walks as it means to
+_ASTRAY_M = 0.1  # deviation of the pelvis from its plan that is a stumble
 
 
 def simulate(
@@ -52,23 +52,23 @@ def simulate(
     *,
     walker: SubjectController | None = None,
 ) -> Trial:
-    """Let the subject follow its plan; what really happened, at 1000 Hz.
+    """Simulate the subject following its plan; the true motion at 1000 Hz.
 
     Args:
         name: of the trial.
         truth: the subject.
         reference: its plan.
         seat: the chair, if there is one.
-        help_share: of the gravity torque at ankle, knee and hip, which the
-            exoskeleton bears; none, it is passive.
-        span: begin and end of the movement, as the exoskeleton takes it [s].
-        progress: told of every step.
-        done: movements simulated before.
-        walker: follows the plan, in motion from the start; by default the
-            subject settles first and stands on both feet.
+        help_share: share of the gravity torque at ankle, knee and hip that the
+            exoskeleton gives; empty if it is passive.
+        span: begin and end of the movement for the exoskeleton's design [s].
+        progress: updated at every step.
+        done: number of movements simulated before.
+        walker: controller of a walk, in motion from the start; by default the
+            subject stands on both feet and settles first.
 
     Raises:
-        InputError: who walks, stumbles.
+        InputError: the walker stumbles, or the integrator fails.
     """
     names = truth.model.coordinates
     device = DeviceController(
@@ -108,7 +108,7 @@ def simulate(
                     "another seed, or a lighter device"
                 )
         if progress:
-            now = max(time, 0.0)  # before it begins, it settles
+            now = max(time, 0.0)  # negative while settling
             progress.update(f"{name}, {now:.2f} of {end:.2f} s", done)
 
     motion = integrate(built.diagram, context, end, tell)
@@ -123,7 +123,7 @@ def simulate(
 def _follower(
     model: Model, reference: Reference, device: DeviceController
 ) -> SubjectController:
-    """Follows the plan, and trusts the device to help as it will there."""
+    """Controller that leaves to the device the help expected on the plan."""
     joints = model.rigid.coordinates.joint_columns
     angles, rates = reference.q[:, joints], reference.v[:, joints]
     loads = reference.ground[:, 1]
@@ -134,18 +134,18 @@ def _follower(
 def equilibrium(
     truth: Truth, seat: SeatParameters | None, posture: np.ndarray
 ) -> np.ndarray:
-    """Coordinates (nq,) at rest: foot and device give way to the loads.
+    """Coordinates (nq,) in static equilibrium of foot, device and loads.
 
     Args:
         truth: the subject.
         seat: the chair, if there is one.
-        posture: (6,) of the rigid model; shank, knee and hip are kept.
+        posture: (6,) of the rigid model; shank's attitude, knee, hip are kept.
     """
     tree, names = truth.model.tree, truth.model.coordinates
     _, z, pitch = names.root_columns
     given = np.r_[z, pitch, names.device_columns]
     free = np.eye(len(names))[given]
-    # The foot tips under a shank that stays.
+    # The ankle follows the foot's pitch, so that the shank keeps its attitude.
     free[1, names.index(names.human[0])] = 1.0
     q = names.aligned(posture[None])[0]
     for _ in range(60):
@@ -200,7 +200,7 @@ def _recorded(name, truth: Truth, seat, controllers, motion) -> Trial:
 def _accelerations(tree: PlanarTree, q, v, loads) -> np.ndarray:
     """Accelerations (N, nq) under generalized forces (N, nq).
 
-    From the equations of motion, so that truth obeys them at every sample.
+    Taken from the equations of motion, which the truth thus satisfies exactly.
     """
     rest = np.zeros_like(q)
     mass = tree.inverse_dynamics_jacobians(q, rest, rest)[2]
