@@ -1,9 +1,9 @@
-"""Movements whose truth is the model: for examples, tests and benchmarks.
+"""Movements that satisfy the model exactly: for examples, tests, benchmarks.
 
-A rise from sitting to standing is drawn in joint space, then made consistent:
-the movement problem with known contact is solved close to it. What comes out
-satisfies dynamics, contact laws and collocation exactly, so that a calibration
-of such data must find the parameters that made them.
+A rise from sitting to standing is drawn in joint space. Then the trajectory
+problem with known contact is solved near it. The result satisfies dynamics,
+contact laws and collocation exactly, so a calibration with such data must find
+the parameters that made them.
 """
 
 from collections.abc import Iterator
@@ -48,10 +48,10 @@ __all__ = [
     "rises_in_device",
     "rises_on_spheres",
 ]
-# Knots of the drawn path per second, and margins of filtered noise.
+# Knots of the drawn path per second; margins of filtered noise.
 _KNOTS = 40.0
 _MARGIN_S = 1.0
-# Loose on the foot and on forces, which the contact decides.
+# Large for the foot and for forces, which follow from the contact.
 _DRAWN = TrackingNoise(
     foot_m=0.05,
     foot_pitch_deg=10.0,
@@ -60,17 +60,17 @@ _DRAWN = TrackingNoise(
     force_n=50.0,
     cop_m=0.02,
 )
-# Offset of the cuff's origin [m], then stiffnesses [N/m, N/m, N m/rad].
+# Offset of the cuff's origin [m], stiffnesses [N/m, N/m, N m/rad], slip [1/N].
 TRUE_CUFFS = {
     "shank": (0.01, 0.03, 1500.0, 4000.0, 30.0, 0.03),
     "thigh": (-0.01, -0.02, 2500.0, 7000.0, 60.0, 0.04),
     "pelvis": (0.02, 0.03, 3000.0, 6000.0, 80.0, 0.03),
 }
-# Mats of each trial in turn: the paper's two configurations.
+# Cuffs with mats in successive trials: the paper's two configurations.
 MATS = (("pelvis",), ("pelvis",), ("shank", "thigh"))
-# What is left of instruments' noise after the filter: markers of 0.3 mm,
-# encoders of 0.02 degree, plates of 0.5 N, mats in steps. Cuffs' energy and
-# jerk hardly count.
+# Noise that the filter leaves of instruments: markers of 0.3 mm, encoders of
+# 0.02 degree, plates of 0.5 N, mats in steps. Contact energy and jerk have
+# almost no weight.
 INSTRUMENT_NOISE = InteractionNoise(
     angle_deg=0.02,
     velocity_deg_s=0.3,
@@ -87,9 +87,9 @@ INSTRUMENT_NOISE = InteractionNoise(
     normal_force_n=1.0,
     energy_j=100.0,
 )
-# Of the device's joints in turn.
+# Lag of the device's successive joints, in parts of `Rise.lag_deg`.
 _LAGS = (1.0, -0.5, 0.7)
-# What the device's joints do besides following: nothing, nearly.
+# Standard deviation of the passive device's joint torques about zero.
 _DEVICE_NM = 0.5
 _SPHERE = SphereSettings(
     modulus_n_m2=Range(5e6, 1e6, 5e7),
@@ -100,14 +100,14 @@ _SPHERE = SphereSettings(
 
 @dataclass(frozen=True)
 class Rise:
-    """A sit-to-stand rise as it is drawn.
+    """Posture and timing of a sit-to-stand rise to be drawn.
 
     Attributes:
-        name: of the trial.
+        name: name of the trial.
         duration_s: of the movement.
-        knee_deg, hip_deg: at seat-off and when standing.
-        balance_m: centre of mass ahead of the ankle, at both ends and in
-            the middle.
+        knee_deg, hip_deg: angles at seat-off and when standing.
+        balance_m: centre of mass ahead of the ankle at the start, in the
+            middle and at the end.
         lag_deg: largest difference of the exoskeleton's angles from the
             human's, where the model has an exoskeleton.
     """
@@ -143,15 +143,15 @@ def rises(count: int, duration_s: float = 1.5, seed: int = 0) -> list[Rise]:
 def draw(
     tree: PlanarTree, rise: Rise, contact: ContactModel | None = None
 ) -> Trial:
-    """A rise in joint space, over the middle of the foot.
+    """A rise in joint space, balanced over the foot.
 
-    The ankle keeps the centre of mass where the rise says; the ground
-    reaction is what inverse dynamics needs.
+    The ankle's angle puts the centre of mass where the rise says; the ground
+    reaction follows from inverse dynamics.
 
     Args:
         tree: human or coupled model.
-        rise: posture and time.
-        contact: carries the foot; without one it stands still at the origin.
+        rise: posture and timing.
+        contact: law that the foot rests on; None: the foot is at the origin.
     """
     names = tree.coordinates
     count = max(round(rise.duration_s * _KNOTS), 20) + 1
@@ -179,7 +179,7 @@ def draw(
 
 
 def _standing(tree, contact: ContactModel, times, balance):
-    """The foot (n, 3) under a body that rises slowly."""
+    """Foot coordinates (n, 3) at which the contact bears a slow rise."""
     weight = np.full(len(times), tree.weight)
     ground = np.column_stack([0.0 * weight, weight, -balance * weight])
     values = [
@@ -191,7 +191,7 @@ def _standing(tree, contact: ContactModel, times, balance):
 
 
 def _balance(tree: PlanarTree, q, balance, lag):
-    """Bend the ankle until the centre of mass is where it shall be."""
+    """Solve for the ankle that puts the centre of mass at `balance` [m]."""
     names, h = tree.coordinates, 1e-6
     ankle = names.index("ankle")
     along = names.turned_by[:, names.human.index("ankle")]
@@ -215,7 +215,7 @@ def consistent(
 ) -> list[Trial]:
     """Movements near drawn rises that satisfy the model exactly.
 
-    They hold at the nodes of the settings' grid.
+    They do so at the nodes of the settings' grid.
 
     Args:
         model: subject and device.
@@ -240,7 +240,7 @@ def consistent(
 
 
 def _made(problem: PhaseProblem, mats) -> list[Trial]:
-    """The solution as a measurement; each trial with what its mats see."""
+    """Trials of the solution, each with the normal forces of its mats."""
     result = problem.solve()
     result.solution.values(np.zeros(0, int))  # raises if it failed
     return [
@@ -264,9 +264,9 @@ def rises_on_spheres(
     """The nominal adult alone, rising on the default settings' spheres.
 
     Args:
-        count: of trials, named rise1, rise2, ...
+        count: number of trials, named rise1, rise2, ...
         nodes_per_second: of the grid on which they are exact.
-        duration_s: of each.
+        duration_s: duration of each.
         seed: of the random numbers.
 
     >>> model, trials = rises_on_spheres(1, nodes_per_second=40)
@@ -282,7 +282,7 @@ def rises_on_spheres(
 
 @dataclass(frozen=True)
 class RisesInDevice:
-    """A person in a passive exoskeleton on known cuffs, and what was seen.
+    """Exact movements of a person in a passive exoskeleton on known cuffs.
 
     Attributes:
         model: subject and device.
@@ -307,7 +307,7 @@ class RisesInDevice:
         return replace(usual, **changes)
 
     def exact_settings(self) -> InteractionSettings:
-        """Phase B with regularisers towards zero: exact data and recovery."""
+        """Settings of Phase B with nearly no regularisation, for exact data."""
         noise = InteractionNoise(normal_force_n=0.5, energy_j=1e3, jerk=1e5)
         solver = Solver(self.nodes_per_second, tolerance=1e-9)
         return self.settings(noise=noise, prior_weight=1e-9, solver=solver)
@@ -315,7 +315,7 @@ class RisesInDevice:
     def calibration(
         self, settings: InteractionSettings, trials=None
     ) -> InteractionCalibration:
-        """Phase B on these data, or on others."""
+        """Phase B on these trials, or on others."""
         return InteractionCalibration(
             self.model, trials or self.trials, self.contact, settings
         )
@@ -329,7 +329,7 @@ class RisesInDevice:
     ) -> PredictionProblem:
         """Phase C of one trial, with the true contact or another.
 
-        Instruments of these data are perfect, and settings say so.
+        Errors of measurement are switched off, since these data have none.
         """
         return PredictionProblem(
             self.model,
@@ -341,7 +341,7 @@ class RisesInDevice:
 
 
 class _PassiveDevice(PhaseProblem):
-    """The drawn rise, loosely, with a device that has no torque."""
+    """A trajectory near the drawn rise, with nearly no device torque."""
 
     def _hold_ends(self, movement, at):
         still = np.zeros(len(movement.coordinates))
@@ -375,16 +375,16 @@ def rises_in_device(
 ) -> RisesInDevice:
     """The nominal adult rises in a passive exoskeleton on known cuffs.
 
-    The exoskeleton hangs on them without torque of its own; human moments and
-    the foot's place are found close to a drawn rise.
+    The exoskeleton has no torque of its own; human moments and the foot's place
+    are found near a drawn rise.
 
     Args:
-        count: of trials; mats alternate as in the paper, cuffs of another
-            device have theirs always.
-        nodes_per_second: of its grid.
-        duration_s: of each movement.
-        seed: of the rises.
-        model: one leg in a device; the shipped one by default.
+        count: number of trials; mats alternate as in the paper, while another
+            device than the shipped one has mats at all cuffs.
+        nodes_per_second: of the grid.
+        duration_s: duration of each movement.
+        seed: of the random numbers.
+        model: one leg in a device; the nominal coupled model by default.
 
     Raises:
         SealedSolutionError: no such movements were found.
@@ -433,9 +433,9 @@ def noisy(
         trial: without noise.
         seed: of the random numbers.
         noise: of angles, foot, forces and centre of pressure, and of moments
-            and mats where there are some; noise of velocities is the
-            derivative of that of positions.
-        cutoff_hz: of the filter that the noise has passed.
+            and mats if there are any; noise of velocities is the derivative
+            of that of positions.
+        cutoff_hz: of the low-pass filter that the noise has passed.
 
     >>> model, [trial] = rises_on_spheres(1, nodes_per_second=40)
     >>> seen = noisy(trial, 0, INSTRUMENT_NOISE)
@@ -479,8 +479,8 @@ def noisy(
 def _smooth(rng, times, sigma, cutoff_hz):
     """White noise through the laboratory's filter, scaled to sigma.
 
-    A movement is cut from a longer recording: filters ring at its ends, not
-    at the movement's.
+    Margins are filtered too and cut off: a movement is part of a longer
+    recording, so the filter does not ring at the movement's ends.
     """
     rate = (len(times) - 1) / (times[-1] - times[0])
     margin = round(rate * _MARGIN_S)
@@ -493,7 +493,7 @@ def _smooth(rng, times, sigma, cutoff_hz):
 def random_values(
     parameters: list[ContactParameter], count: int, seed: int
 ) -> Iterator[np.ndarray]:
-    """Starts anywhere inside the bounds; fixed parameters stay.
+    """Random starts within the bounds; fixed parameters stay nominal.
 
     >>> x = ContactParameter("heel.x", "m", 0.0, -0.1, 0.1)
     >>> [values] = random_values([x], 1, seed=0)

@@ -1,4 +1,4 @@
-"""The subject as it really is, which no calibration may look at."""
+"""True parameters of the virtual subject, which no calibration reads."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
@@ -30,11 +30,11 @@ from drake_exo.model.segments import (
 from drake_exo.virtual_laboratory.forces import Cuff, levelled
 from drake_exo.virtual_laboratory.plan import Friction
 
-# How far truth may lie from what a calibration begins with.
+# How far true parameters may be from the nominal ones of a calibration.
 KINDS = ("wide", "near")
-# What makes the truth richer than the model, and measurements worse; each can
-# be switched off by name. Without any, the subject obeys the very model that is
-# calibrated, and instruments are perfect. Of the subject and the device:
+# Disturbances make the truth richer than the model, and measurements worse.
+# Each can be switched off by name. Without any, the subject obeys the model
+# that is calibrated, and instruments are perfect. Those of subject and device:
 TRUTH = {
     "contact": "soles of five spheres without smoothing",
     "progressive": "cuffs that stiffen with deflection",
@@ -43,7 +43,7 @@ TRUTH = {
     "segments": "masses that differ by up to 3 % from the table",
     "variation": "posture, duration and load differ between movements",
 }
-# Of the instruments.
+# Disturbances of the instruments.
 MEASUREMENT = {
     "marker_noise": "0.3 mm white noise on every marker coordinate",
     "soft_tissue": "markers that slide millimetres on the skin",
@@ -54,7 +54,7 @@ MEASUREMENT = {
     "pressure_steps": "pressure in steps of 2.5 kPa, up to 30 kPa",
     "clocks": "device and mats that start up to 40 ms apart",
 }
-# Of a wide truth alone, of subject and instruments.
+# Disturbances of a wide truth alone, in subject and instruments.
 WIDE = {
     "body": "lengths up to 4 %, centres of mass 3 % off the table",
     "legs": "legs that bear and press unequally, by up to 5 %",
@@ -74,7 +74,7 @@ _SHARP = SimbodyConstants(
     hertz_smoothing=1e4,
     hunt_crossley_smoothing=1e3,
 )
-# Between heel (0) and toe (1); radius [m]; modulus, as a share.
+# Place from heel (0) to toe (1); radius [m]; share of the nominal modulus.
 _RICH_SOLE = {
     "calcaneus_back": (-0.08, 0.025, 0.45),
     "calcaneus_front": (0.10, 0.030, 0.50),
@@ -82,19 +82,19 @@ _RICH_SOLE = {
     "metatarsals": (0.80, 0.030, 0.60),
     "toes": (1.08, 0.022, 0.40),
 }
-_COM_SHIFT = 0.03  # along the segment, of its length
-_COM_SHIFT_M = 0.008  # across it
-_LENGTH = 0.04
+_COM_SHIFT = 0.03  # largest shift along the segment, share of its length
+_COM_SHIFT_M = 0.008  # largest shift across it
+_LENGTH = 0.04  # largest change of a length, as a share
 _CUFF_PROGRESSION = 1.0 / 0.02  # 1/m
 _CUFF_SLIP = 1.0 / 25.0  # 1/N
 JOINT_FRICTION = Friction(viscous=(0.3, 0.5, 0.5), coulomb=(0.8, 1.2, 1.5))
 
 
 def checked(names: Iterable[str]) -> frozenset[str]:
-    """The names as a set.
+    """Names of disturbances as a set.
 
     Raises:
-        InputError: one is unknown, or a single name is no list.
+        InputError: a name is unknown, or `names` is a single string.
     """
     names = names if isinstance(names, str) else tuple(names)
     try:
@@ -104,9 +104,9 @@ def checked(names: Iterable[str]) -> frozenset[str]:
     return frozenset(names)
 
 
-# Where parameters of cuffs are drawn from: stiffness and damping log-uniform
-# between these shares of nominal values, the origin uniform about its own [m].
-# Wide ones are not in the middle, so that a prior there is none of truth.
+# Ranges that cuffs are drawn from: stiffness and damping log-uniform between
+# these multiples of nominal values, the origin uniform about its own [m]. Wide
+# ones are not centred, so that a prior about nominal values is not the truth's.
 _WIDE_SHARES = (1.3 / 3.3, 1.3 * 3.3)
 _CUFFS: dict[str, dict[str, tuple[float, float]]] = {
     "near": {"stiffness": (0.74, 1.35), "origin": (-0.015, 0.015)},
@@ -127,7 +127,7 @@ class Truth:
         contact: foot-ground contact, spheres in the foot link.
         cuffs: between human and exoskeleton, by name.
         friction: of the device's joints.
-        design: what has been built, already part of `cuffs`.
+        design: design that is worn, already part of `model` and `cuffs`.
     """
 
     model: Model
@@ -145,12 +145,12 @@ class Truth:
 def draw_truth(
     rng: np.random.Generator, active: frozenset[str], kind: str = "wide"
 ) -> Truth:
-    """Parameters off the nominal ones by what a calibration has to find.
+    """Draw true parameters about the nominal ones.
 
     The feet's stiffness and dissipation are within 35 % of nominal values,
     spheres within 12 mm along the foot. Cuffs are drawn from `_CUFFS`.
-    The foot's frame is level in standing, as that of the markers is: spheres
-    lie lower than nominal ones by what they sink in.
+    The foot's frame is level and at the ankle's height in standing, like that
+    of the markers, so spheres lie lower than nominal ones by their indentation.
 
     Args:
         rng: numbers are drawn in the same order whatever is active.
@@ -181,13 +181,13 @@ def draw_truth(
 
 
 def wearing(truth: Truth, design: Design) -> Truth:
-    """The same subject with designed cuffs, whose tissue stays its own.
+    """The same subject wearing a design; the tissue under cuffs is the same.
 
-    The small deflections' stiffness is that of tissue and strap in series;
-    how cuffs stiffen and slip stays.
+    Stiffness at small deflection is that of tissue and strap in series;
+    stiffening and slip of the cuffs stay.
 
     Raises:
-        InputError: the design is of another device.
+        InputError: the design does not fit the device.
     """
     design.check(truth.model)
     built = design.bushings({n: c.bushing for n, c in truth.cuffs.items()})
@@ -201,7 +201,7 @@ def wearing(truth: Truth, design: Design) -> Truth:
 
 
 def two_spheres(usual: GroundContact, rng) -> GroundContact:
-    """Soles as the model has them, with other values."""
+    """The model's two spheres, with other values drawn."""
     spheres = {
         name: replace(
             sphere,
@@ -215,7 +215,7 @@ def two_spheres(usual: GroundContact, rng) -> GroundContact:
 
 
 def five_spheres(device, rng) -> GroundContact:
-    """Rich soles between the heel_m and toe_m of a device or a person."""
+    """Five spheres between heel_m and toe_m of a device or a person."""
     heel, toe = np.array(device.heel_m), np.array(device.toe_m)
     sole = heel[1] - CONTACT_RADIUS_M
     spheres = {}
@@ -235,7 +235,7 @@ def five_spheres(device, rng) -> GroundContact:
 
 
 def drawn_cuffs(usual, rng, active, kind: str) -> dict[str, Cuff]:
-    """Cuffs with other values than the usual bushings."""
+    """Cuffs with values drawn about those of the usual bushings."""
     cuffs, draw = {}, _CUFFS[kind]
     for name, bushing in usual.items():
         values = {
@@ -259,12 +259,12 @@ def drawn_cuffs(usual, rng, active, kind: str) -> dict[str, Cuff]:
 
 
 def _other_body(model: Model, rng) -> Model:
-    """Other lengths and centres of mass, and the device fitted to them."""
+    """Lengths and centres of mass drawn anew, and the device fitted."""
     human = model.human
     parts = {}
     for name in SEGMENTS:
         part = getattr(human, name)
-        # The foot is measured, and welded to the device's.
+        # Not the foot, which is measured and welded to the device's.
         ratio = 1.0 + (name != "foot") * rng.uniform(-_LENGTH, _LENGTH)
         x, z = part.com_m
         along = rng.uniform(-_COM_SHIFT, _COM_SHIFT) * part.length_m
@@ -282,7 +282,7 @@ def _other_body(model: Model, rng) -> Model:
 
 
 def other_masses(human: HumanParameters, rng) -> HumanParameters:
-    """The same body mass, shared out in another way."""
+    """Legs' masses drawn within 3 %; the pelvis keeps the body mass."""
     names = [name for name in SEGMENTS if name != "pelvis"]
     parts = {name: getattr(human, name) for name in names}
     factors = {name: rng.uniform(0.97, 1.03) for name in names}
@@ -301,12 +301,12 @@ def _factor(
 
 
 def write_parameters(folder: Path, truth: Truth, about: dict) -> None:
-    """Write all of it, and each phase's parameters by their names there.
+    """Write the truth, and the true parameters of Phases A and B by name.
 
     Args:
-        folder: receives truth.json and a file for each phase.
+        folder: receives truth.json, foot_ground.json and interaction.json.
         truth: the parameters.
-        about: of the campaign; stands in every file.
+        about: entries on the campaign, repeated in every file.
     """
     whole = {
         "human": truth.human,
@@ -317,7 +317,7 @@ def write_parameters(folder: Path, truth: Truth, about: dict) -> None:
         "gravity": truth.model.gravity_m_s2,
     }
     write_json(folder / "truth.json", {**about, "parameters": whole})
-    # A phase's cuff slips by its bushing's law, the laboratory's by its own.
+    # In a phase slip is the bushing's parameter, in the laboratory the cuff's.
     cuffs = {n: replace(c.bushing, slip=c.slip) for n, c in truth.cuffs.items()}
     for name, contacts in (
         ("foot_ground", truth.contact.spheres),
@@ -332,11 +332,11 @@ def write_parameters(folder: Path, truth: Truth, about: dict) -> None:
 
 
 def truth_table(movement: Trial, step: int = 1) -> Table:
-    """Motion, joint torques and forces in SI units.
+    """Table of motion, joint torques and forces in SI units.
 
     Args:
-        movement: what truly happened.
-        step: every how many samples.
+        movement: the true movement.
+        step: only every `step`-th sample is kept.
     """
     names = movement.coordinates
     columns, values = [], []

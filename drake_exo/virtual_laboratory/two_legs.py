@@ -1,14 +1,13 @@
-"""A person of two legs, in a device of the user's own: rise, squat, walk.
+"""A person of two legs in a device of the user's own: rise, squat, walk.
 
-What both legs do in a rise or squat is planned for one that stands for both.
-Each leg then bears its share of the ground's force all the time, and its
-torques are what that asks for. The device does not help. Mats lie under every
-cuff, but on feet.
+A rise or squat is planned for one leg that stands for both. Each leg then bears
+a constant share of the ground's force, and its torques follow from that. The
+device does not help. Mats lie under every cuff except on feet.
 
-A step that repeats itself is searched near how people walk, on the subject's
-own soles, with the device as a part of the body. The steps that follow are its
-mirror images. What then happens is simulated: soles without smoothing, a device
-on cuffs that give way, and a controller that knows nothing of them.
+For a walk, a periodic step is optimised near how people walk, on the subject's
+soles with smoothed contact, the device being a rigid part of the body; further
+steps are its mirror images. The movement is then simulated on soles without
+smoothing, in a device on compliant cuffs that the controller knows nothing of.
 """
 
 import shutil
@@ -84,16 +83,16 @@ from drake_exo.virtual_laboratory.truth import (
 )
 
 MOVEMENTS = ("rise", "squat", "walk")
-# What acts of the disturbances: those of a wide truth do not.
+# Disturbances that can act: all but those of a wide truth.
 ACTING = (*TRUTH, *MEASUREMENT)
 _PLATES = {side: PLATES[side] for side in SIDES}
-_VISCOUS, _COULOMB = 0.5, 1.0  # of each of the device's joints
-# Knees stay bent: a straight leg cannot give way to the other one.
+_VISCOUS, _COULOMB = 0.5, 1.0  # N m s/rad, N m in each joint of the device
+# Knees stay bent: a straight leg cannot adapt its length to the other leg.
 _STANDING = Posture(shank=9.0, knee=14.0, trunk=2.0)
 _BOTTOM = Posture(shank=24.0, knee=85.0, trunk=36.0)
-_PRIOR_WEIGHT = 10.0  # a foot's forces alone leave open where its spheres are
+_PRIOR_WEIGHT = 10.0  # a foot's forces hardly determine its spheres' places
 _AFTER_TOE_OFF_S = 0.05
-_QUIET_S = 0.1  # of standing before and after a squat that is used
+_QUIET_S = 0.1  # used part of standing before and after the movement
 _RISE = RisePlan(standing=_STANDING)
 _SQUAT = RisePlan(_STANDING, _BOTTOM, _STANDING, lean_s=1.4, rise_s=1.4)
 
@@ -110,28 +109,27 @@ def write_movements(
     files: str = "c3d",
     processes: int = 1,
 ) -> Path:
-    """Simulate a described subject, and write what a laboratory would.
+    """Simulate a person of two legs and write the files of a gait laboratory.
 
     Args:
         folder: exists; receives study.yaml, standing and trial files, the
             device's file, and truth/.
-        description: YAML file that says what a study's `model` does.
+        description: YAML file with the keys of a study's `model`.
         movement: a name in MOVEMENTS.
-        seed: same seed, same bytes.
-        disturbances: that act, of those in `ACTING`; the virtual laboratory's
-            others are left out.
-        trials: how many.
-        left_share: of the ground's force that the left leg bears.
-        files: "c3d" or "opensim".
-        processes: that work at once; has no influence on the result.
+        seed: of all random numbers; the same seed gives the same bytes.
+        disturbances: names that act; those not in `ACTING` are ignored.
+        trials: number of trials.
+        left_share: share of the ground's force that the left leg bears.
+        files: "c3d" or "opensim" (.trc and .mot).
+        processes: number of parallel ones; no influence on the result.
 
     Returns:
         The study file.
 
     Raises:
-        InputError: a description that cannot be, or is not of two legs with
-            rigid feet; an unknown movement, disturbance or kind of files, a
-            share that tips the body over.
+        InputError: the description is invalid, or not of two legs with rigid
+            toes; an unknown movement, disturbance or kind of files; a share
+            outside 0.1 to 0.9, or other than 0.5 for a walk.
     """
     folder = path_of(folder, "folder")
     description = path_of(description, "description")
@@ -158,7 +156,7 @@ def write_movements(
         folder, description, movement, seed, active, left_share, files
     )
     device = job.description.get("device")
-    if device is not None:  # its file beside the study, which names it
+    if device is not None:  # the study names a copy of its file
         source = description.parent / device["file"]
         shutil.copyfile(source, folder / source.name)
         device["file"] = source.name
@@ -173,9 +171,10 @@ def write_movements(
 
 
 class TwoLegs(Session):
-    """A session of one of two legs, drawn off the nominal one.
+    """A session of a subject with two legs, drawn about the nominal adult.
 
-    Arguments are those of `write_movements`, checked but for the description.
+    Arguments are those of `write_movements`; only the description (`path`) has
+    not been checked.
     """
 
     first_key = 20
@@ -207,9 +206,9 @@ class TwoLegs(Session):
         )
 
     def _drawn(self, path: Path, active) -> tuple[Truth, Planner]:
-        """The subject, and who plans: one leg for both, without the device.
+        """The subject, and the planner of one leg for both, without device.
 
-        The truth's contact is that of each foot.
+        The truth's contact is that of each single foot.
         """
         assembly = schema.load(path, Assembly)
         if assembly.human.legs != "two" or assembly.human.toes != "rigid":
@@ -256,15 +255,15 @@ class TwoLegs(Session):
         return truth, Planner(alone.tree, soles)
 
     def standing(self) -> Reference:
-        """See `Session`; on both legs alike."""
+        """The plan of quiet standing, on both legs alike."""
         return self.both_legs(super().standing(), 0.5)
 
     def both_legs(self, plan: Reference, share: float) -> Reference:
-        """A plan of one leg, done by two that bear unequally.
+        """The plan for two legs that share the load, from that for one.
 
         Args:
             plan: of one leg that stands for both.
-            share: of the ground's force that the left one bears.
+            share: share of the ground's force that the left leg bears.
         """
         one, tree = self.planner.tree, self.truth.model.rigid.tree
         names = tree.coordinates
@@ -275,7 +274,7 @@ class TwoLegs(Session):
         q[:, :2] = one.point_positions(plan.q, "pelvis", (0.0, 0.0))
         q[:, 2] = one.body_angles(plan.q, "pelvis")
         for side, part in shares.items():
-            # Soles give way to what they bear: legs are of unequal length.
+            # Soles are indented unequally, so each leg needs its own angles.
             load, at = part * heavier * plan.ground[:, 1], plan.ground
             cop = -at[:, 2].sum() / at[:, 1].sum()
             foot = resting_foot(one, self.truth.contact, load, cop)
@@ -299,12 +298,12 @@ class TwoLegs(Session):
         progress: Progress | None = None,
         done: int | None = None,
     ) -> dict:
-        """Simulate a trial, write its files; what the study says of it.
+        """Simulate a trial and write its files; its entry in `trials`.
 
         Args:
-            number: of trials before.
-            progress: told of every step.
-            done: movements simulated before.
+            number: index of the trial, from 0.
+            progress: updated at every step.
+            done: number of movements simulated before.
         """
         name, laboratory = f"{self.movement}_{number + 1}", self.laboratory
         act = self._walks if self.movement == "walk" else self._stands
@@ -325,7 +324,7 @@ class TwoLegs(Session):
         }
 
     def _stands(self, name, number, progress, done) -> tuple[Trial, tuple]:
-        """A rise or squat, and the part of it that is used."""
+        """Simulate a rise or squat; with start and end of its used part [s]."""
         planner, seat = self.planner, None
         rises = self.movement == "rise"
         plan = self.varied(vary, _RISE if rises else _SQUAT, number)
@@ -346,7 +345,7 @@ class TwoLegs(Session):
         return happened, to_frames(begin, end)
 
     def _walks(self, name, number, progress, done) -> tuple[Trial, tuple]:
-        """A walk, of which a cycle is used; legs share as they like."""
+        """Simulate a walk; with start and end of the cycle that is used [s]."""
         truth, names = self.truth, self.truth.model.coordinates
         plan = self.varied(vary_walk, WalkPlan(), number)
         rigid = truth.model.rigid
@@ -359,24 +358,24 @@ class TwoLegs(Session):
             done=done,
             walker=WalkingController(names, motion, rigid.tree.weight),
         )
-        # In the air, where a filter smears nothing in, and a cycle later.
+        # A cycle from just after toe-off, where the filter smears no force in.
         borne = happened.feet["right"].force_z
         left = [c.end_s for c in contacts(happened.times, borne) if c.ends]
         return happened, [round(t + _AFTER_TOE_OFF_S, 2) for t in left[:2]]
 
     def study(self, mats: dict, entries: list[dict]) -> dict:
-        """The study file; of several trials, the last one is to be predicted.
+        """The contents of study.yaml; the last of several trials is predicted.
 
         Args:
-            mats: the section of that name.
-            entries: the section `trials`, to which their use is added.
+            mats: the section `mats`.
+            entries: the section `trials`, to which `use` is added.
         """
         for k, entry in enumerate(entries):
             last = k > 0 and k == len(entries) - 1
             entry["use"] = "prediction" if last else "calibration"
         truth, model = self.truth, self.description
         cutoff_hz, walks = 6.0, self.movement == "walk"
-        if walks:  # three spheres let a foot roll
+        if walks:  # a foot that rolls needs three spheres
             spheres, cutoff_hz = ["heel", "ball", "toe"], 10.0
             model = model | {"ground": {f"foot_{s}": spheres for s in SIDES}}
         study = {
@@ -398,7 +397,7 @@ class TwoLegs(Session):
 
 
 def _bent(human: HumanParameters, q, foot):
-    """Hip, knee and ankle (n,) between a pelvis and a foot (n, 3) [rad]."""
+    """Hip, knee, ankle (n,) [rad] from q of the pelvis and foot (n, 3)."""
     thigh, shank = human.thigh.length_m, human.shank.length_m
     x, z = (q[:, :2] - foot[:, :2]).T
     square = x * x + z * z
@@ -409,10 +408,10 @@ def _bent(human: HumanParameters, q, foot):
 
 
 def _rolling(study: dict) -> dict:
-    """Settings of all phases for feet that roll; see a study's keys.
+    """Sections of Phases A to C in `study`, changed for feet that roll.
 
-    Shapes of those for feet that stand; steps are jerkier, and a sphere may be
-    anywhere between its neighbours.
+    Steps are jerkier than movements on standing feet, and the ball's sphere may
+    be anywhere between its neighbours.
     """
     jerky = {"velocity_deg_s": 8.0, "jerk": 300.0}
     found = {
@@ -423,22 +422,22 @@ def _rolling(study: dict) -> dict:
     ball = contact["heel"] | {"x_m": {"below": 0.08, "above": 0.04}}
     ends = {"x_m": 0.01, "z_m": 0.01, "pitch_deg": 5.0}
     contact |= {
-        # A heel slides as it comes down: a solver turns about in the corner.
+        # A heel slides at touch-down: a solver would oscillate at the corner.
         "constants": {"transition_velocity": 0.2, "friction_rounding": 0.5},
         "spheres": {"ball": ball},
         "prior_weight": _PRIOR_WEIGHT,
         "end_tolerance": ends,
-        "solver": {"nodes_per_second": 200.0},  # toes leave within milliseconds
+        "solver": {"nodes_per_second": 200.0},  # toe-off takes milliseconds
     }
     cuffs["end_tolerance"] = ends
-    # As for recorded walks: with 5 N m the leg in the air goes where it likes.
+    # As for recorded walks: 5 N m would leave the swinging leg undetermined.
     found["prediction"]["noise"]["moment_nm"] = 1.0
     return found
 
 
-# Angles of an adult who walks at an ordinary speed, from one heel strike on,
-# every tenth of the cycle [deg]; toe-off is at 62 % of it. After Winter, The
-# Biomechanics and Motor Control of Human Gait, 1991, read off coarsely.
+# Joint angles of an adult walking at ordinary speed, from heel strike on, every
+# tenth of the cycle [deg]; toe-off is at 62 % of it. Read off coarsely from
+# Winter, The Biomechanics and Motor Control of Human Gait, 1991.
 _CYCLE = {
     "hip": (26, 23, 16, 7, -2, -9, -6, 12, 25, 29),
     "knee": (5, 18, 18, 11, 7, 12, 38, 62, 50, 18),
@@ -446,8 +445,8 @@ _CYCLE = {
 }
 _TRUNK_LEAN_DEG = 3.0
 _TOE_OFF = 0.62
-# Of the ground's force on one foot, in parts of the weight, against the cycle;
-# and its point, in front of the ankle [m]. Where the search starts, no more.
+# Ground's force on one foot, in parts of the weight, against the cycle, and its
+# point in front of the ankle [m]. Only the start of the search.
 _FORCE_Z = (
     (0.0, 0.05, 0.12, 0.3, 0.48, 0.55, 0.62),
     (0, 0.55, 1.1, 0.78, 1.1, 0.6, 0),
@@ -455,28 +454,28 @@ _FORCE_Z = (
 _FORCE_X = ((0.0, 0.04, 0.12, 0.32, 0.52, 0.62), (0, -0.08, -0.18, 0, 0.2, 0))
 _POINT_M = ((0.0, 0.15, 0.48, 0.62), (-0.03, 0.04, 0.14, 0.18))
 _SUNK_M = 0.005
-WALKWAY_M = 3.0  # further than any walk goes
+WALKWAY_M = 3.0  # longer than any walk
 _NODES_PER_SECOND = 100.0
-# How near the search stays to all that.
+# Standard deviations about these curves in the search.
 _NEAR_DEG = 6.0
 _NOISE = InteractionNoise(
     force_n=100.0, cop_m=0.03, torque_nm=20.0, jerk=1000.0
 )
 _STRONGEST_NM = 300.0
 _CLEARANCE_M = 0.03
-# Soles that the search can follow; those that are simulated stick.
+# Friction smooth enough for the search; simulated soles nearly stick.
 _SMOOTH = SimbodyConstants(transition_velocity=0.2)
 
 
 @dataclass(frozen=True)
 class WalkPlan:
-    """How a walk is meant to go.
+    """Speed and steps of a planned walk.
 
     Attributes:
-        speed_m_s: of the pelvis.
-        step_s: time of one step, half a cycle.
-        steps: in full; the first one settles device and soles.
-        after_s: of another one.
+        speed_m_s: mean speed of the pelvis.
+        step_s: duration of one step, half a cycle.
+        steps: number of full steps; in the first, device and soles settle.
+        after_s: duration of the part of a further step.
     """
 
     speed_m_s: float = 1.2
@@ -486,7 +485,7 @@ class WalkPlan:
 
 
 def vary_walk(plan: WalkPlan, rng: np.random.Generator) -> WalkPlan:
-    """Another walk of the same subject."""
+    """The plan of another walk, with speed and step time drawn."""
     return replace(
         plan,
         speed_m_s=float(plan.speed_m_s * rng.uniform(0.92, 1.08)),
@@ -497,13 +496,13 @@ def vary_walk(plan: WalkPlan, rng: np.random.Generator) -> WalkPlan:
 def plan_walk(
     model: Model, soles: GroundContact, plan: WalkPlan, title: str
 ) -> Reference:
-    """A walk of several steps, from the moment the left toes leave the ground.
+    """A walk of several steps, from the left toe-off on.
 
     Args:
-        model: subject, with the device as a part of the body.
-        soles: under each foot.
-        plan: speed and length of the steps.
-        title: of the progress.
+        model: subject, with the device as a rigid part of the body.
+        soles: contact under each foot.
+        plan: speed and timing of the steps.
+        title: title of the progress messages.
 
     Raises:
         InputError: no step was found.
@@ -529,7 +528,7 @@ def plan_walk(
 
 
 class _Step(PeriodicStep):
-    """A periodic step near the template, with little effort."""
+    """A periodic step that stays near the template, with little torque."""
 
     def _terms(self, movement, at, effects):
         names = movement.coordinates
@@ -547,12 +546,12 @@ class _Step(PeriodicStep):
 
 
 def template(tree: PlanarTree, soles: GroundContact, plan: WalkPlan) -> Trial:
-    """Half a cycle as people walk, from the left toe-off to the right one.
+    """Half a cycle of ordinary gait, from the left toe-off to the right one.
 
     Args:
         tree: of the subject, two legs on a pelvis.
-        soles: under each foot.
-        plan: speed and length of the step.
+        soles: contact under each foot.
+        plan: speed and timing of the step.
     """
     names = tree.coordinates
     times = np.linspace(0.0, plan.step_s, round(100 * plan.step_s) + 1)
@@ -585,9 +584,10 @@ def template(tree: PlanarTree, soles: GroundContact, plan: WalkPlan) -> Trial:
 
 
 def _height(tree, soles: GroundContact, q, step) -> np.ndarray:
-    """Of a pelvis (n,) whose lower foot is on the ground [m].
+    """Height of the pelvis (n,) with its lower foot on the ground [m].
 
-    Its mean and the wave of a step: where feet change over there is a corner.
+    Only its mean and first harmonic over the step are kept, since it has a
+    corner where the load changes feet.
     """
     lowest = np.min(
         [
@@ -603,7 +603,7 @@ def _height(tree, soles: GroundContact, q, step) -> np.ndarray:
 
 
 def _borne(tree: PlanarTree, q, side: str, cycle) -> PlanarWrench:
-    """What the ground does to a foot, by where in its cycle (n,) it is."""
+    """Ground reaction on a foot at its phases of the cycle (n,)."""
     stance = cycle < _TOE_OFF
     at = np.minimum(cycle, _TOE_OFF)
     force_x, force_z = (
@@ -616,12 +616,12 @@ def _borne(tree: PlanarTree, q, side: str, cycle) -> PlanarWrench:
 
 
 def repeated(step: Trial, count: int, after_s: float = 0.0) -> Reference:
-    """A step, then its mirror image, and so on.
+    """A walk of a step and its mirror images in turn.
 
     Args:
-        step: that ends as it began with left and right exchanged.
-        count: of steps.
-        after_s: of another one, at the end.
+        step: its end is its start with left and right exchanged.
+        count: number of full steps.
+        after_s: duration of the part of a further step at the end [s].
     """
     names, other = step.coordinates, mirrored(step.coordinates)
     joints = names.joint_columns
@@ -646,22 +646,21 @@ def repeated(step: Trial, count: int, after_s: float = 0.0) -> Reference:
     return Reference(times, q, v, torque, ground, np.zeros_like(ground))
 
 
-# Of the subject's own feedback, N m/rad and N m s/rad. A leg that bears the
-# body holds the trunk upright with its hip and the shank with its ankle, which
-# also brings the pelvis along (N and N s, of metres); one that swings holds its
-# joints.
+# Gains of the subject's feedback, N m/rad and N m s/rad. A leg in swing holds
+# its joints' angles; in stance its hip holds the trunk upright and its ankle the
+# shank, and the ankle also moves the pelvis to its planned x (N and N s).
 _SWING = {"hip": (600.0, 40.0), "knee": (400.0, 25.0), "ankle": (60.0, 3.0)}
 _TRUNK, _KNEE, _SHANK = (1000.0, 80.0), (1000.0, 60.0), (1500.0, 120.0)
 _ALONG = (720.0, 360.0)
-# Parts of the weight from which, and up to which, a leg comes to bear the body.
+# Shares of the weight between which a leg changes from swing to stance gains.
 _BEARS = (0.05, 0.35)
 
 
 class WalkingController(SubjectController):
-    """Feed-forward joint torques and feedback towards a walk.
+    """Feed-forward joint torques and feedback towards a planned walk.
 
-    Inputs state, and the ground reaction on either foot, which says what a leg
-    is there for; output torques of the human's k joints [N m].
+    Inputs state and the ground reaction on either foot, which tells stance from
+    swing; output torques of the human's k joints [N m].
 
     Args:
         names: coordinates of the coupled model.
@@ -683,11 +682,11 @@ class WalkingController(SubjectController):
         ]
 
     def torques(self, time, q, v, loads) -> np.ndarray:
-        """Torques (..., k) at times (...) and states (..., nq).
+        """Torques (..., k) [N m] at times (...) and states (..., nq).
 
         Args:
-            time: (...).
-            q, v: (..., nq).
+            time: (...) [s].
+            q, v: (..., nq) coordinates and velocities.
             loads: (..., 2) vertical forces on the left and the right foot [N].
         """
         error, rate, torque = self.off(time, q, v)
@@ -698,9 +697,9 @@ class WalkingController(SubjectController):
 
 
 def _gains(names: Coordinates) -> tuple[np.ndarray, np.ndarray]:
-    """Of a leg that swings and of one that bears, each (k, 2 body's).
+    """Gain matrices of swing and of stance, each (k, 2 body's coordinates).
 
-    On what coordinates, then their rates, lack of the plan.
+    They act on errors of the body's coordinates, then on those of their rates.
     """
     rows = dict(zip(names.body, np.eye(len(names.body)), strict=True))
     x, _, pitch = names.root
@@ -708,7 +707,7 @@ def _gains(names: Coordinates) -> tuple[np.ndarray, np.ndarray]:
     for name, held in zip(names.human, held_rows(names), strict=True):
         joint = name.split("_")[0]
         swing.append(np.kron(_SWING[joint], rows[name]))
-        if joint == "hip":  # flexes where the trunk leans too far back
+        if joint == "hip":  # flexes if the trunk leans too far back
             stance.append(np.kron(_TRUNK, -rows[pitch]))
         elif joint == "knee":
             stance.append(np.kron(_KNEE, held))
