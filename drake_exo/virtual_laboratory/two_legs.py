@@ -647,8 +647,8 @@ def repeated(step: Trial, count: int, after_s: float = 0.0) -> Reference:
 
 
 # Gains of the subject's feedback, N m/rad and N m s/rad. A leg in swing holds
-# its joints' angles; in stance its hip holds the trunk upright and its ankle the
-# shank, and the ankle also moves the pelvis to its planned x (N and N s).
+# its joints' angles; in stance its hip holds the trunk upright, and its ankle
+# holds the shank and moves the pelvis to its planned x (N and N s).
 _SWING = {"hip": (600.0, 40.0), "knee": (400.0, 25.0), "ankle": (60.0, 3.0)}
 _TRUNK, _KNEE, _SHANK = (1000.0, 80.0), (1000.0, 60.0), (1500.0, 120.0)
 _ALONG = (720.0, 360.0)
