@@ -16,13 +16,12 @@ Signs: indentation is positive inside the ground, its rate is positive while
 the sphere sinks, slip velocity is along world x, normal force is along world
 z, friction along world x.
 
-The file holds first the constants, whose fields' metadata give unit and
-bounds, so that a study file is read straight into them; then the laws, pure
-functions that broadcast over float and complex numpy arrays, AutoDiffXd and
-Expression (`contact.scalars`); last their analytic first derivatives for float
-arrays, which share intermediate results because the collocation evaluates
-every sphere at every node in each iteration. Tests compare them with
-complex-step derivatives of the laws.
+First come the constants; their fields' metadata give unit and bounds, so that a
+study file is read straight into them. Then the laws: pure functions that
+broadcast over float and complex arrays, AutoDiffXd and Expression
+(`contact.scalars`). Last their analytic first derivatives for float arrays,
+which share intermediate results, because collocation evaluates every sphere at
+every node in each iteration; tests compare them with complex-step derivatives.
 """
 
 from dataclasses import dataclass
@@ -50,15 +49,16 @@ class PaperConstants:
     The paper prints neither friction nor smoothing constants. Friction is what
     is usual with OpenSim; the smoothing constants are chosen here:
 
-    - b_c = 300 for indentation (1/m) and for its rate (s/m), as the paper
-      uses one letter for both: the Hertz force is within 0.3 % of the sharp
-      law from 10 mm on, and adhesion stays below 0.21 c/300 of it.
-    - b_d = 20 1/m, b_n = 1 N: up to 50 mm above the ground the force out of
-      contact stays under 0.48 N and its slope above 2.9 N/m. A sharper b_d
-      would remove the slope that the term is meant to give.
-    - b_v = 50 s/m as in Simbody.
-    - delta = 10 µm keeps the Hertz part below 0.02 N at zero indentation up
-      to E = 4e7 N/m² at r = 32 mm; beyond: 0.193 m N^(2/3) / (k r^(1/3)).
+    - b_c = 300 1/m (`hertz_sharpness`) and s/m (`damping_sharpness`), one
+      letter in the paper: the Hertz force is within 0.3 % of the sharp law
+      from 10 mm on, and adhesion stays below 0.21 c/300 of it.
+    - b_d = 20 1/m (`slope_sharpness`), b_n = 1 N (`slope_force`): up to 50 mm
+      above the ground the force out of contact stays under 0.48 N and its
+      slope above 2.9 N/m, which a sharper b_d would remove.
+    - b_v = 50 s/m (`slope_rate_sharpness`) as in Simbody.
+    - delta = 10 µm (`indentation_smoothing`): the Hertz part is below 0.02 N
+      at zero indentation up to E = 4e7 N/m² at r = 32 mm; for stiffer spheres
+      set it to 0.193 m N^(2/3) / (k r^(1/3)).
     - epsilon = 10 µm/s (`slip_smoothing`) makes √(v²) differentiable at rest.
     """
 

@@ -272,7 +272,7 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
             _write_inertia(link, is_sdf, body, context, X_LP[name])
     elements = {e.get("name"): e for e in owner.findall("joint")}
     for joint, (a, b) in zip(hung, ends, strict=True):
-        if a not in X_MP:  # it floats
+        if a not in X_MP:  # Drake's joint of a floating base
             continue
         if not is_sdf and not {a, b} & turned:
             continue

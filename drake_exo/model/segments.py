@@ -91,9 +91,9 @@ class HumanParameters(_Chain):
         heel_m, toe_m: centre of this contact sphere in the foot frame.
         shank_cuff_m, thigh_cuff_m, pelvis_cuff_m: place (l_x, l_z) of this
             cuff (human-exoskeleton bushing) in the human segment.
-        toes: of the foot, in a frame at their hinge; by the foot's length if
-            None.
-        ball_m: place of that hinge in the foot; likewise.
+        toes: the foot's toes, in a frame at their hinge; None: they follow
+            from the foot's mass and length.
+        ball_m: place of that hinge in the foot; None: from its length.
     """
 
     foot: SegmentParameters
