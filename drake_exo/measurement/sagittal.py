@@ -1,4 +1,4 @@
-"""From the laboratory's axes to the sagittal plane, and plates to one foot.
+"""Sagittal plane: a laboratory's axes, planar wrenches, merging of plates.
 
 Planar frame: x forward, z up, y left. A wrench in the plane is F_x, F_z and
 the moment M_y = z F_x - x F_z about the laboratory's origin at z = 0; the
@@ -15,7 +15,7 @@ from drake_exo.errors import InputError
 from drake_exo.files.tables import PlateRecording
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
-# Below this vertical force a centre of pressure means nothing [N].
+# Below this vertical force the centre of pressure is undefined [N].
 COP_THRESHOLD_N = 20.0
 
 
@@ -24,7 +24,7 @@ class Axes:
     """Which axes of a file point forward and up; OpenSim's are x and y.
 
     Attributes:
-        forward, up: an axis, with a minus where it points the other way.
+        forward, up: name of the axis, with a minus if it points the other way.
     """
 
     forward: Axis = "x"
@@ -39,7 +39,7 @@ class Axes:
 
     @staticmethod
     def of(R_PL: np.ndarray) -> "Axes":
-        """Axes of this rotation, of right angles alone."""
+        """Axes whose `R_PL` is this rotation (3, 3), by multiples of 90°."""
         forward, _, up = (
             ("-" if row.sum() < 0.0 else "") + "xyz"[np.argmax(np.abs(row))]
             for row in R_PL
@@ -48,16 +48,16 @@ class Axes:
 
     @property
     def R_PL(self) -> np.ndarray:
-        """Rotation (3, 3) from them to forward, left, up."""
+        """Rotation (3, 3) from the file's axes to forward, left, up."""
         x, z = _unit(self.forward), _unit(self.up)
         return np.stack([x, np.cross(z, x), z])
 
     def points(self, p: np.ndarray) -> np.ndarray:
-        """Points or forces (..., 3) -> their (..., 2) x and z."""
+        """Forward and up components (..., 2) of points or forces (..., 3)."""
         return np.asarray(p) @ self.R_PL[[0, 2]].T
 
     def space(self, p: np.ndarray) -> np.ndarray:
-        """Points, forces or moments (..., 3) -> forward, left, up (..., 3)."""
+        """Points, forces or moments (..., 3) as forward, left, up (..., 3)."""
         return np.asarray(p) @ self.R_PL.T
 
 
@@ -68,7 +68,7 @@ def _unit(axis: str) -> np.ndarray:
 
 
 def fixed(given) -> np.ndarray:
-    """A copy of numbers that cannot be written to.
+    """A read-only copy of an array, as floats.
 
     >>> fixed([1, 2]).flags.writeable
     False
@@ -86,7 +86,7 @@ class PlanarWrench:
         force: (N, 2) F_x, F_z [N].
         moment: (N,) M_y about the laboratory's origin at z = 0 [N m].
 
-    Arrays cannot be written to; change a copy.
+    The arrays are read-only; change a copy.
 
     >>> standing = PlanarWrench(np.array([[0.0, 700.0]]), np.array([-70.0]))
     >>> standing.cop_x.tolist()
@@ -120,7 +120,7 @@ class PlanarWrench:
 
     @staticmethod
     def of_spatial(wrench: np.ndarray) -> "PlanarWrench":
-        """What of (N, 6) force and moment, forward, left, up, is in plane."""
+        """Sagittal part of force and moment, forward, left, up (N, 6)."""
         return PlanarWrench(wrench[:, [0, 2]], wrench[:, 4])
 
     @property
@@ -140,12 +140,12 @@ class PlanarWrench:
 
     @property
     def is_loaded(self) -> np.ndarray:
-        """Where a centre of pressure means something (N,) bool."""
+        """Samples (N,) bool above 20 N, where the CoP is defined."""
         return self.force_z > COP_THRESHOLD_N
 
     @property
     def cop_x(self) -> np.ndarray:
-        """Centre of pressure -M_y/F_z (N,) [m]; NaN where below 20 N."""
+        """Centre of pressure -M_y/F_z (N,) [m]; NaN below 20 N."""
         loaded = self.is_loaded
         load = np.where(loaded, self.force_z, 1.0)
         return np.where(loaded, -self.moment / load, np.nan)
@@ -156,15 +156,15 @@ class PlanarWrench:
         )
 
     def shifted(self, dx: float | np.ndarray) -> "PlanarWrench":
-        """The same wrench acting `dx` further forward [m]."""
+        """The same wrench acting `dx` further forward [m], float or (N,)."""
         return PlanarWrench(self.force, self.moment - dx * self.force_z)
 
     def held(self, below_n: float) -> "PlanarWrench":
-        """The same with the centre of pressure held at small forces.
+        """The same forces with the centre of pressure held at small forces.
 
         Args:
-            below_n: vertical force at which it is that of the nearest sample
-                with a larger one [N]; 0 for nowhere.
+            below_n: at vertical forces below this [N] the CoP is that of the
+                nearest sample above it; 0 leaves all as they are.
         """
         known = np.flatnonzero(self.force_z >= below_n)
         if below_n == 0.0 or not len(known):
@@ -181,32 +181,32 @@ class PlanarWrench:
         return PlanarWrench(self.force, held)
 
     def reversed(self) -> "PlanarWrench":
-        """Equal and opposite: on the plate instead of on the body."""
+        """The opposite wrench: on the plate instead of on the body."""
         return PlanarWrench(-self.force, -self.moment)
 
     def doubled(self) -> "PlanarWrench":
-        """One leg's wrench taken for both."""
+        """Wrench of two equal legs, from that of one."""
         return PlanarWrench(2.0 * self.force, 2.0 * self.moment)
 
     def cut(self, rows) -> "PlanarWrench":
-        """Some of its samples."""
+        """The wrench at some samples: a slice, mask or indices."""
         return PlanarWrench(self.force[rows], self.moment[rows])
 
 
 def external_loads(
     wrenches: Mapping[str, PlanarWrench], share: float = 1.0
 ) -> tuple[list[str], np.ndarray]:
-    """Wrenches as OpenSim's external loads have them, in its axes.
+    """Columns of OpenSim's external loads, in its axes (x forward, y up).
 
-    They act on the ground below the centre of pressure; where that means
-    nothing, at the origin, with the moment as a free one.
+    Forces act at the centre of pressure on the ground; where that is undefined
+    (below 20 N), at the origin, with the moment as free moment.
 
     Args:
-        wrenches: end of the columns' names, such as "_r" -> wrench (N,).
-        share: of force and moment.
+        wrenches: suffix of the column names, such as "_r" -> wrench (N,).
+        share: factor on force and moment, such as 0.5 for one of two legs.
 
     Returns:
-        Names of columns, and their values (N, 9 for each wrench).
+        Column names, and values (N, 9 per wrench) [N, m, N m].
     """
     names, values = [], []
     for end, wrench in wrenches.items():
@@ -214,16 +214,16 @@ def external_loads(
         names += [f"ground_torque{end}_{a}" for a in "xyz"]
         F_x, F_z = share * wrench.force.T
         cop, zero = np.nan_to_num(wrench.cop_x), np.zeros_like(F_x)
-        # About y (left) in the plane, so about -z (right) there.
+        # M_y is about y (left), which is OpenSim's -z.
         free = np.where(wrench.is_loaded, 0.0, -share * wrench.moment)
         values += [F_x, F_z, zero, cop, zero, zero, zero, zero, free]
     return names, np.column_stack(values)
 
 
 def spatial_wrench(plate: PlateRecording, axes: Axes) -> np.ndarray:
-    """A plate's force on the body and its moment about the origin.
+    """A plate's force, and moment about the origin, in forward, left, up.
 
-    The free moment and the height of the plate's surface are in it.
+    The moment includes the free moment and the height of the plate's surface.
 
     Returns:
         (N, 6) force [N] and moment [N m], each forward, left, up.
@@ -236,20 +236,20 @@ def spatial_wrench(plate: PlateRecording, axes: Axes) -> np.ndarray:
 def merge_plates(
     feet: Mapping[str, PlanarWrench], ankles: Mapping[str, np.ndarray]
 ) -> tuple[PlanarWrench, dict[str, float]]:
-    """Both feet's plates as one, each taken into its own foot's frame.
+    """Add both feet's wrenches, each first shifted to the mean ankle.
 
-    Feet stand centimetres apart fore and aft; merged as they are, a shift of
-    load from one to the other would look like a moving centre of pressure.
-    Each plate's wrench is moved by the distance from its own ankle to the
-    mean of both.
+    Feet stand centimetres apart fore and aft. Without the shift, moving load
+    from one foot to the other would look like a moving centre of pressure.
+    Each wrench is shifted by the distance from its own ankle to the mean of
+    all ankles, averaged over time.
 
     Args:
-        feet: "left" and "right"; one of them, which counts twice; or "both".
-        ankles: side -> (N, 2) ankle centres [m], of the legs that are known,
-            of a foot without a plate, too: the mean is of all.
+        feet: wrench of "left" and "right"; of one, then doubled; or of "both".
+        ankles: side -> (N, 2) ankle centres [m] of all legs with markers,
+            also of a foot without a plate.
 
     Returns:
-        The sum, and the shift applied to each [m].
+        The sum, and the shift applied to each foot [m].
     """
     if "both" in feet:
         return feet["both"], {"both": 0.0}

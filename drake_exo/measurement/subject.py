@@ -58,18 +58,18 @@ from drake_exo.model.segments import (
     with_overrides,
 )
 
-_LEAST_MASS_KG = 20.0  # where none is stated
+_LEAST_MASS_KG = 20.0  # lightest body assumed where no mass is stated
 
 
 @dataclass(frozen=True)
 class SubjectModel:
-    """What a standing trial and the study say about the subject.
+    """The subject's model and marker set, fitted to the standing trial.
 
     Attributes:
-        model: subject and device.
-        markers: places of the markers on the segments.
+        model: planar model of the subject, with the device if one is worn.
+        markers: segments, joint centres and marker positions on the segments.
         mass_kg: body mass without the exoskeleton.
-        report: where values come from, for the quality report.
+        report: values found and their origin, for the quality report.
     """
 
     model: Model
@@ -82,8 +82,8 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     """Scale the model to the subject and the standing trial.
 
     Raises:
-        InputError: unreadable or unsuitable standing trial, no body mass, or
-            a sphere or cuff without a place.
+        InputError: unreadable or unsuitable standing trial, unknown body
+            mass, or a sphere or cuff whose position is not defined.
     """
     if isinstance(settings.model, Assembly):
         settings = replace(settings, model=with_text(settings.model, root))
@@ -160,7 +160,7 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     model = _with_device(settings, human)
     if settings.device is not None:
         settings.device.check(model.coordinates)
-    _ = model.spheres, model.cuffs  # one without a place is refused here
+    _ = model.spheres, model.cuffs  # raises if one has no position
     q = coordinates(model, markers, poses)
     report["standing_angles_deg"] = np.rad2deg(q[0, 2:])
     if settings.scaling.trunk_com == "standing":
@@ -176,16 +176,16 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
 def model_markers(
     person: OsimPerson, who: Person, seen: MarkerData
 ) -> tuple[Markers, MarkerData]:
-    """The model's marker set, as a study would list it.
+    """Marker set of an OpenSim model, in the form in which a study lists it.
 
     Args:
-        person: with its markers.
-        who: legs and toes.
-        seen: a recording; markers that it does not have are left out.
+        person: the OpenSim model's person, with its markers.
+        who: settings of the person: number of legs, rigid or hinged toes.
+        seen: a recording; markers that it lacks are left out.
 
     Returns:
-        Names by segment, and where they and the joint centres are in the
-        sagittal plane of the model at its zeros, in OpenSim's axes.
+        Marker names by segment; and one frame of all markers and joint
+        centres, with all coordinates at zero, in OpenSim's x and y.
     """
     centres, places = {}, {}
     for side, own in person.places.items():
@@ -197,7 +197,7 @@ def model_markers(
         if name not in seen.names:
             continue
         if segment == "toes" and who.toes == "rigid":
-            continue  # they bend against the foot
+            continue  # real toes bend; these markers would turn the foot
         places[name] = place
         lists[segment][side or "middle"].append(name)
     sided = {
@@ -222,7 +222,7 @@ def model_markers(
 
 
 def _standing_axes(settings: RecordingSettings) -> Axes:
-    """Which of the standing markers' axes point forward and up."""
+    """Forward and up axes of the standing trial's marker file."""
     usual = settings.laboratory.marker_axes
     return settings.standing.marker_axes or usual
 
@@ -233,7 +233,7 @@ def _ball(
     standing: MarkerData,
     person: OsimPerson | None,
 ) -> tuple[float, float] | None:
-    """Place (x, z) of the toes' hinge before the ankle, if there is one."""
+    """Toe hinge (x, z) from the ankle, foot flat [m]; None for rigid toes."""
     if settings.assembly.human.toes == "rigid":
         return None
     if person is not None:
@@ -248,7 +248,7 @@ def _ball(
 
 
 def _all_names(markers: Markers) -> list[str]:
-    """Every marker that the study names."""
+    """Names of all markers that the study lists, with repetitions."""
     groups = [
         getattr(part, f.name)
         for part in (markers.joint_centres, markers.segments)
@@ -276,13 +276,13 @@ def _inside(time: np.ndarray, standing: Standing) -> np.ndarray:
 
 
 def _standing_wrench(settings, root, ankles) -> PlanarWrench | None:
-    """Mean wrench of both feet in standing (N = 1), merged at the ankles."""
+    """Mean wrench of both feet in standing (N = 1), see `merge_plates`."""
     standing = settings.standing
     if standing.forces is None:
         return None
     laboratory = settings.laboratory
     if standing.marker_axes is not None:
-        # Who faces another way does so on the plates, too.
+        # A subject who faces another way does so on the plates, too.
         turn = standing.marker_axes.R_PL @ laboratory.marker_axes.R_PL.T
         axes = Axes.of(turn @ laboratory.force_axes.R_PL)
         laboratory = replace(laboratory, force_axes=axes)
@@ -345,7 +345,7 @@ def _body_mass(
 def _scaled(
     settings: RecordingSettings, mass: float, model: MarkerModel
 ) -> HumanParameters:
-    """Table values, lengths and ankle height as measured, then overrides."""
+    """De Leva's tables; lengths and ankle height measured if so set."""
     subject = settings.subject
     human = scale_human(mass, subject.height_m, subject.sex)
     if settings.scaling.lengths == "markers":
@@ -361,10 +361,10 @@ def _scaled(
 def _as_modelled(
     human: HumanParameters, mass: float, model: MarkerModel, poses
 ) -> HumanParameters:
-    """An OpenSim model's person of this mass, its soles where it stood.
+    """The OpenSim model's person, scaled to a mass, soles on the floor.
 
-    A foot that the model holds at an angle in standing has its spheres on the
-    floor there.
+    If the model's feet are pitched in standing, the spheres are placed so that
+    they touch the floor in that posture.
     """
     ratio = mass / human.mass_kg
     parts = {name: getattr(human, name).heavier(ratio) for name in SEGMENTS}
@@ -388,7 +388,7 @@ def _as_modelled(
 
 
 def _stretched(segment: SegmentParameters, length: float):
-    """A segment of another length and the same mass."""
+    """The segment at another length [m]; same mass, scaled CoM and inertia."""
     ratio = length / segment.length_m
     return replace(
         segment,
@@ -399,7 +399,7 @@ def _stretched(segment: SegmentParameters, length: float):
 
 
 def _raised(human: HumanParameters, ankle_height: float) -> HumanParameters:
-    """The ankle at its measured height; soles and contact stay below it."""
+    """The person with a measured ankle height [m]; spheres on the floor."""
     ratio = ankle_height / human.ankle_height_m
     sphere_z = CONTACT_RADIUS_M - ankle_height
     return replace(
@@ -430,7 +430,7 @@ def _with_device(settings: RecordingSettings, human: HumanParameters) -> Model:
 
 
 def _over_the_cop(settings, model: Model, q, wrench, report) -> HumanParameters:
-    """Move the trunk's centre of mass so that standing is in balance."""
+    """Shift the trunk's CoM fore-aft until the body's is above the CoP."""
     if wrench is None:
         raise InputError(
             "scaling.trunk_com is 'standing', which needs standing.forces "
