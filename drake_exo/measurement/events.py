@@ -1,15 +1,15 @@
-"""Events of a sit-to-stand: seat-off and standing, and the chair until then.
+"""Events in recordings: seat-off and standing, heel strike and toe-off.
 
-And of a walk: heel strike and toe-off, where a foot's own plates pass 20 N.
+Heel strike and toe-off are where the force on a foot's own plates passes 20 N.
 
-Seat-off is where the feet carry the whole body by Newton's law: what the
-chair must bear, m (a_com + g) - F_z, has fallen to a small share of body
-weight. A bare threshold on F_z would be passed while still seated, since the
-rise begins with a push well above body weight.
+Seat-off is when the feet alone carry the body by Newton's law: the force that
+the chair must bear, m (a_com + g) - F_z, has fallen to 5 % of body weight. A
+threshold on F_z itself would be passed while the person still sits, because
+the rise begins with a push well above body weight.
 
-The wrench of a plate under the chair counts until its vertical force has
-fallen to 5 % of body weight. What is left then is faded out within 50 ms, so
-that no step remains in the dynamics.
+The wrench of a plate under the chair is used until its vertical force has
+fallen to 5 % of body weight. The rest is faded out within 50 ms, so that no
+step remains in the dynamics.
 """
 
 import re
@@ -27,21 +27,21 @@ from drake_exo.model.assembly import SIDES
 SEATED_SHARE = 0.5  # of body weight on the chair: clearly seated
 CHAIR_SHARE = 0.05  # of body weight on the chair: seat-off
 STEADY_SHARE = 0.1  # force within this share of body weight: standing
-STEADY_S = 0.1  # for so long
-_MIN_RANGE_M = 0.15  # hips that move less do not rise
-_SHORTEST_S = 0.1  # contacts below are noise
-_CLEAR_S = 0.02  # a whole contact leaves so much at either end of the file
+STEADY_S = 0.1  # time for which it must stay there
+_MIN_RANGE_M = 0.15  # least vertical travel of the hips in a rise
+_SHORTEST_S = 0.1  # shorter contacts are noise
+_CLEAR_S = 0.02  # least time between a whole contact and the file's ends
 
 
 @dataclass(frozen=True)
 class Rise:
-    """One rise.
+    """One sit-to-stand rise; times [s] are those of the recording.
 
     Attributes:
-        seat_off_s: the chair bears nothing any more (without a chair: the
-            lowest point).
-        halfway_s: the hips pass half their height.
-        standing_s: body weight is borne steadily, or else the highest point.
+        seat_off_s: when the chair no longer bears weight (if it never did:
+            when the hips are lowest).
+        halfway_s: when the hips pass half their vertical range.
+        standing_s: when body weight is borne steadily, else at the top.
         had_chair: whether a chair bore weight before.
         is_steady: whether standing became steady before the next movement.
     """
@@ -60,13 +60,13 @@ def find_rises(
     F_z: np.ndarray,
     weight: float,
 ) -> list[Rise]:
-    """Find rises in a recording.
+    """Find the sit-to-stand rises of a recording.
 
     Args:
         time: (N,) [s].
         hip_z: (N,) height of the hips [m], low-passed.
-        chair_force: (N,) m (a_com + g) - F_z [N].
-        F_z: (N,) vertical force of the feet, less what is carried [N].
+        chair_force: (N,) of the chair's plate, or m (a_com + g) - F_z [N].
+        F_z: (N,) vertical force of the feet, less that of loads carried [N].
         weight: body weight [N].
     """
     low, high = hip_z.min(), hip_z.max()
@@ -81,7 +81,7 @@ def find_rises(
     for up in ups:
         before = downs[downs < up].max(initial=0)
         top = up + int(np.argmax(stands[up:]))
-        # It may falter halfway, but does not sit down again.
+        # A rise may falter halfway, but must not sit down again.
         if not sits[before:up].any() or not stands[top] or sits[up:top].any():
             continue
         after = downs[downs > top].min(initial=len(time) - 1)
@@ -100,7 +100,7 @@ def find_rises(
 
 
 def _seat_off(hip_z, chair_force, weight, before, up):
-    """Index of seat-off between `before` and `up`."""
+    """Index of seat-off between `before` and `up`; whether a chair bore."""
     seated = np.flatnonzero(chair_force[before:up] > SEATED_SHARE * weight)
     if len(seated) == 0:
         return before + int(np.argmin(hip_z[before:up])), False
@@ -110,7 +110,7 @@ def _seat_off(hip_z, chair_force, weight, before, up):
 
 
 def _standing(time, hip_z, F_z, weight, up, after):
-    """Index where body weight is first borne steadily, after the top."""
+    """Index where weight is first borne steadily at the top; if it is."""
     top = up + int(
         np.argmax(hip_z[up : after + 1] >= 0.98 * (hip_z[up : after + 1].max()))
     )
@@ -128,11 +128,11 @@ _FADE_S = 0.05
 def until_seat_off(
     time: np.ndarray, wrench: PlanarWrench, weight: float
 ) -> PlanarWrench:
-    """The chair's wrench while somebody sits on it, zero elsewhere.
+    """Chair's wrench (N,), faded out where it bears below 5 % of weight.
 
     Args:
         time: (N,) [s].
-        wrench: filtered and tared.
+        wrench: of the chair's plate, filtered and without offset.
         weight: body weight [N].
     """
     seated = np.flatnonzero(wrench.force[:, 1] >= CHAIR_SHARE * weight)
@@ -148,11 +148,11 @@ def until_seat_off(
 
 @dataclass(frozen=True)
 class Contact:
-    """Times between which a plate is loaded, and what of it was recorded.
+    """A period in which a foot's plates are loaded.
 
     Attributes:
-        start_s, end_s: first and last loaded sample [s].
-        begins, ends: whether the recording holds its begin and its end.
+        start_s, end_s: times of the first and last loaded sample [s].
+        begins, ends: whether touch-down and lift-off were recorded.
     """
 
     start_s: float
@@ -173,12 +173,12 @@ class Contact:
 def contacts(
     time: np.ndarray, F_z: np.ndarray, least_n: float = COP_THRESHOLD_N
 ) -> list[Contact]:
-    """Where a foot's plates bear a force or more.
+    """Periods in which a foot's plates bear at least a given force.
 
     Args:
         time: (N,) [s].
-        F_z: (N,) vertical force of all of them, unfiltered [N].
-        least_n: that force [N].
+        F_z: (N,) sum of the plates' vertical forces, unfiltered [N].
+        least_n: the force above which the foot is in contact [N].
     """
     found = []
     for a, b in runs(F_z >= least_n):
@@ -192,12 +192,12 @@ def contacts(
 
 @dataclass(frozen=True)
 class FootEvent:
-    """An event of a walk by name.
+    """A gait event, as a study names it.
 
     Attributes:
         kind: "heel_strike" or "toe_off".
-        side: of the foot.
-        number: which of them in the recording, from 1.
+        side: "left" or "right" foot.
+        number: its number among such events of the recording, from 1.
     """
 
     kind: str
@@ -206,10 +206,10 @@ class FootEvent:
 
     @staticmethod
     def of(text: str) -> "FootEvent":
-        """From words such as "heel_strike right 1".
+        """Parse words such as "heel_strike right 1".
 
         Raises:
-            InputError: it does not say an event.
+            InputError: the text is not of this form.
 
         >>> FootEvent.of("toe_off left 2").number
         2
@@ -227,14 +227,14 @@ class FootEvent:
         return f"{self.kind} {self.side} {self.number}"
 
     def time_s(self, feet: Mapping[str, Sequence[Contact]]) -> float:
-        """When it is [s].
+        """Time of the event in the recording [s].
 
         Args:
-            feet: side -> contacts of that foot; those without a plate of
-                their own are left out.
+            feet: side -> contacts of that foot; a foot without plates of
+                its own has no entry.
 
         Raises:
-            InputError: it was not recorded.
+            InputError: the foot has no entry, or the event was not recorded.
         """
         if self.side not in feet:
             raise InputError(
@@ -253,5 +253,5 @@ class FootEvent:
         return found[self.number - 1]
 
 
-# Which contacts have such an event, and when.
+# Kind -> attributes of `Contact`: whether it was recorded, and its time.
 _EVENTS = {"heel_strike": ("begins", "start_s"), "toe_off": ("ends", "end_s")}

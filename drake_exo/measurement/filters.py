@@ -1,14 +1,14 @@
-"""Recorded signals: low-pass filtering, derivatives, gaps filled.
+"""Filtering, differentiation and gap filling of recorded signals.
 
-Zero-lag Butterworth: once forward, once backward. Both passes together damp
-the cut-off by 1/sqrt(2), so each is designed for a higher one, by the factor
-(2^(1/2) - 1)^(-1/(2 n)) of the warped frequency, n the order of a pass
-(D. A. Winter, Biomechanics and Motor Control of Human Movement, 2.2.4.4).
+The low-pass is a Butterworth filter, run forward and backward (zero lag). Both
+passes together damp the cut-off frequency by 1/sqrt(2), so each is designed
+for a cut-off whose warped frequency is (2^(1/2) - 1)^(-1/(2 n)) times higher,
+n the order of a pass (D. A. Winter, Biomechanics and Motor Control of Human
+Movement, 2.2.4.4).
 
-Markers are hidden at times. Short gaps are filled by cubic splines through
-their surroundings. A marker that is hidden for longer, or at either end, is
-held in those frames and hardly counts; whether that matters is judged in the
-part of the recording that is used.
+Short gaps of a marker are filled by a cubic spline through its neighbouring
+frames. Longer gaps, and those at either end, are bridged by straight lines,
+and inverse kinematics gives them almost no weight. `Gaps.check` refuses them.
 """
 
 from collections.abc import Iterable, Sequence
@@ -27,7 +27,7 @@ MIN_RATE_OVER_CUTOFF = 4.0
 def check_filterable(
     source: str, num_frames: int, rate_hz: float, cutoff_hz: float
 ) -> None:
-    """Refuse recordings that the filter cannot treat.
+    """Refuse recordings too short or too slow for the filter.
 
     Raises:
         InputError: fewer than 20 frames, or sampled below four times the
@@ -60,13 +60,13 @@ def low_pass(
         values: (N, ...) without gaps.
         rate_hz: samples per second.
         cutoff_hz: frequency damped by 1/sqrt(2) after both passes.
-        order: in effect, after both passes (even).
-        source: for messages.
+        order: of both passes together (even); each has half of it.
+        source: file name, for messages.
 
     Raises:
         InputError: as `check_filterable`.
     """
-    # It loads SciPy's statistics, a second that only recordings need.
+    # Imported here: it loads scipy.stats, a second that most runs save.
     from scipy.signal import butter, sosfiltfilt
 
     check_filterable(source, len(values), rate_hz, cutoff_hz)
@@ -82,10 +82,10 @@ def low_pass(
 def derivatives(
     time: np.ndarray, values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """First and second time derivatives of smooth values (N, ...).
+    """First and second time derivatives (N, ...) of smooth values (N, ...).
 
-    By the interpolating quintic spline: exact for polynomials of degree
-    five, no further smoothing.
+    Those of the interpolating quintic spline: exact for polynomials of degree
+    five, without smoothing.
     """
     spline = make_interp_spline(time, values, k=5, axis=0)
     return spline.derivative(1)(time), spline.derivative(2)(time)
@@ -99,13 +99,13 @@ def resample(
 
 
 def minimum_jerk(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The quintic step s^3 (10 - 15 s + 6 s^2), at rest at both ends.
+    """Minimum-jerk step s^3 (10 - 15 s + 6 s^2), at rest at both ends.
 
     Args:
-        s: share of the way; held at 0 and 1 beyond.
+        s: elapsed share of the duration, clipped to 0 to 1.
 
     Returns:
-        The step and its first and second derivatives by s.
+        The step and its first and second derivatives with respect to s.
     """
     s = np.clip(s, 0.0, 1.0)
     return (
@@ -115,19 +115,19 @@ def minimum_jerk(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     )
 
 
-_NEIGHBOURS = 10  # seen frames on each side that carry the spline
-_TOLD = 12  # gaps that a sentence lists
+_NEIGHBOURS = 10  # visible frames on each side that the spline goes through
+_TOLD = 12  # most gaps listed in a message
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Frames in a row without a value.
+    """One gap: consecutive frames in which a marker is hidden.
 
     Attributes:
-        marker: name.
-        start_s: of the first of them.
-        frames: how many.
-        length_s: frames over rate.
+        marker: name of the marker.
+        start_s: time of the first frame of the gap.
+        frames: number of frames.
+        length_s: number of frames over frame rate.
     """
 
     marker: str
@@ -144,14 +144,14 @@ class Gap:
 
 @dataclass(frozen=True)
 class Gaps:
-    """Gaps of the markers that are needed.
+    """Gaps of the markers in use.
 
     Attributes:
         time: (N,) of the markers [s].
         rate_hz: frames per second.
         longest_s: longest gap that is filled [s].
         source: file name.
-        unseen: marker -> (N,) bool, of those that have any.
+        unseen: marker -> (N,) bool, true where hidden; only markers with gaps.
     """
 
     time: np.ndarray
@@ -161,13 +161,13 @@ class Gaps:
     unseen: dict[str, np.ndarray]
 
     def frames(self, start_s: float, end_s: float) -> dict[str, int]:
-        """Unseen frames of each marker from start to end, none left out."""
+        """Marker -> number of hidden frames in a part, if there are any."""
         inside = between(self.time, start_s, end_s)
         counts = {n: int((m & inside).sum()) for n, m in self.unseen.items()}
         return {name: count for name, count in counts.items() if count}
 
     def too_long(self, start_s: float, end_s: float) -> list[Gap]:
-        """Gaps that are not filled and reach into a part."""
+        """Gaps too long to be filled that reach into a part."""
         inside = between(self.time, start_s, end_s)
         return [
             Gap(name, float(self.time[a]), b - a, (b - a) / self.rate_hz)
@@ -177,7 +177,7 @@ class Gaps:
         ]
 
     def hidden(self, names: Iterable[str]) -> np.ndarray:
-        """Frames (N, len(names)) in gaps that are not filled."""
+        """Frames (N, len(names)) bool in gaps too long to be filled."""
         columns = []
         for name in names:
             column = np.zeros(len(self.time), bool)
@@ -188,10 +188,10 @@ class Gaps:
         return np.stack(columns, axis=1)
 
     def check(self, start_s: float = -np.inf, end_s: float = np.inf) -> None:
-        """Refuse gaps that are not filled, all in one sentence.
+        """Refuse gaps too long to be filled, all in one message.
 
         Raises:
-            InputError: there are such.
+            InputError: a marker has one in the part.
         """
         found = self.too_long(start_s, end_s)
         if found:
@@ -201,7 +201,7 @@ class Gaps:
             )
 
     def sentence(self, found: list[Gap]) -> str:
-        """Which markers are hidden, when, for how long."""
+        """Words for a message: which markers are hidden, when, how long."""
         more = len(found) - _TOLD
         text = ", ".join(str(gap) for gap in found[:_TOLD])
         if more > 0:
@@ -215,12 +215,12 @@ class Gaps:
 
 @dataclass(frozen=True)
 class MarkerFault:
-    """A marker that does what nothing on a body does.
+    """A marker motion that is impossible on a body: a leap or standstill.
 
     Attributes:
         marker: its name.
-        time_s: of the first frame in which it does.
-        size: of the fault.
+        time_s: of the first frame of the fault.
+        size: [m/s] of a leap; of a standstill the others' median travel [m].
     """
 
     marker: str
@@ -231,9 +231,9 @@ class MarkerFault:
 def leaps(
     data: MarkerData, names: Iterable[str], most_m_s: float
 ) -> tuple[MarkerFault, ...]:
-    """Where markers change their velocity by more from frame to frame [m/s].
+    """Frames where a marker's velocity changes by more than `most_m_s`.
 
-    Velocity itself says less: limbs are fast, but not at once.
+    The change between frames tells more than the speed, which limbs reach too.
     """
     found = []
     for name in names:
@@ -253,10 +253,10 @@ _STILL_FRAMES = 5
 def standstills(
     data: MarkerData, groups: Iterable[Sequence[str]]
 ) -> tuple[MarkerFault, ...]:
-    """Where markers repeat one place while those beside them move on [m].
+    """Where a marker is frozen for 5 frames or more while its segment moves.
 
     Args:
-        data: as recorded.
+        data: markers as recorded.
         groups: names of the markers on each segment.
     """
     found = []
@@ -277,7 +277,7 @@ def standstills(
 
 
 def gap_remedy(longest_s: float) -> str:
-    """What to do about gaps that are not filled."""
+    """End of a message: what to do about gaps too long to be filled."""
     return (
         f"gaps up to laboratory.fill_gaps_s ({longest_s:g} s) are filled, but "
         "not at the ends of the recording: raise it, fill the gaps in the "
@@ -288,7 +288,7 @@ def gap_remedy(longest_s: float) -> str:
 def fill_gaps(
     data: MarkerData, names: Iterable[str], longest_s: float
 ) -> tuple[MarkerData, Gaps]:
-    """Fill the gaps of some markers; those too long are bridged all the same.
+    """Fill gaps by splines; those too long are bridged by straight lines.
 
     Args:
         data: markers on an even time base.
@@ -296,10 +296,10 @@ def fill_gaps(
         longest_s: longest gap that may be filled [s].
 
     Returns:
-        The markers without gaps, and where they had some.
+        The markers without gaps, and the gaps that they had.
 
     Raises:
-        InputError: a marker is missing, or hidden ones were written as zeros.
+        InputError: a marker is missing, or the file has zeros where hidden.
     """
     names = tuple(dict.fromkeys(names))
     for name in names:
@@ -320,7 +320,7 @@ def fill_gaps(
 
 
 def _check_zeros(data: MarkerData, names: tuple[str, ...]) -> None:
-    """No marker stays in the very origin of the laboratory."""
+    """Refuse markers at exactly (0, 0, 0): exporters' value for hidden."""
     at = [data.names.index(name) for name in names]
     zero = (data.positions[:, at] == 0.0).all(axis=2)
     if not zero.any():
@@ -338,7 +338,7 @@ def _check_zeros(data: MarkerData, names: tuple[str, ...]) -> None:
 
 
 def _fill(time, p: np.ndarray, unseen: np.ndarray, hidden: np.ndarray) -> None:
-    """Fill p (N, 3) in place; what is hidden for long by straight lines."""
+    """Fill p (N, 3) in place where `unseen` (N,); straight where `hidden`."""
     seen = np.flatnonzero(~unseen)
     if not len(seen):
         p[:] = 0.0
