@@ -1,22 +1,21 @@
-"""From markers to joint angles of the planar body, and on to its joint torques.
+"""Planar inverse kinematics and inverse dynamics.
 
-Seven segments in the sagittal plane: pelvis (with trunk, head and arms),
-and thigh, shank and foot of each leg; nine where toes are hinged. With complex
-numbers p = x + i z, and w_k = exp(i phi_k) for the absolute angle of segment k
-(counter-clockwise seen from the right), every marker is p_0 + C w with constant
-C, p_0 being the middle of the hips. Angles are zero for vertical thighs and
-shanks, a trunk as upright as in standing and feet as flat as there.
+The marker model has seven segments in the sagittal plane: pelvis (with trunk,
+head and arms), and thigh, shank and foot of each leg; nine if toes are hinged.
+With complex positions p = x + i z and w_k = exp(i phi_k), phi_k the absolute
+angle of segment k (counter-clockwise seen from the right), every marker lies
+at p_0 + C w, where p_0 is the mid-point of the hips and C is constant. phi = 0
+for vertical thighs and shanks, and for pelvis and feet as in standing.
 
-Joint angles follow by weighted least squares over all frames at once. Each
-leg is followed on its own; a model's one leg is their mean, since feet that
-stand apart fore and aft give the legs different angles.
+Angles of all frames follow by weighted least squares (Gauss-Newton). The legs
+are fitted separately. A model with one leg gets the mean of both, since feet
+that stand apart fore and aft give the legs different angles.
 
-Generalized forces of the rigid model follow from motion and measured forces.
-Among these are wrenches of what a person carries, of what pulls and pushes.
-A carried mass acts with its weight and inertia where it is: the force on the
-body is -m (a + g), a being the acceleration of its centre. That centre is the
-mean of markers, or a place on a segment. While the mass is lifted off, or put
-down, the body bears a part of it that grows from nothing to all.
+Inverse dynamics takes the motion and the measured wrenches, among them those
+of loads: what a person carries, or what pulls and pushes. A carried mass acts
+on the body with the force -m (a + g), a the acceleration of its centre, which
+is the mean of markers or a point of a segment. While the mass is lifted off or
+put down, the share that the body bears rises from 0 to 1, or falls to 0.
 """
 
 from collections.abc import Collection, Iterable
@@ -45,29 +44,29 @@ from drake_exo.model.segments import LEG_JOINTS
 
 LEG = ("thigh", "shank", "foot", "toes")
 # Weight of markers on a foot that a device is welded to: they stay within a
-# millimetre, others slide by 10 mm and more (Peters et al., Gait & Posture 31,
-# 2010). With equal weights skin that slides on a shank turns the foot by two
-# degrees.
+# millimetre, those on skin slide by 10 mm and more (Peters et al., Gait &
+# Posture 31, 2010). With equal weights, skin that slides on the shank would
+# turn the foot by two degrees.
 _RIGID = 100.0
-# The joint at the origin of each segment of a leg, and the one above.
+# The joint at the origin of each segment of a leg.
 _ORIGIN = {"thigh": "knee", "shank": "ankle", "foot": "ankle", "toes": "ball"}
 
 
 @dataclass(frozen=True)
 class MarkerModel:
-    """Segments, joint centres and markers of one subject.
+    """Segments, joint centres and marker positions of one subject.
 
     Attributes:
         segments: names, "pelvis" first, then "thigh_left", ...; length S.
         sides: the legs that carry markers.
-        names: marker names, length M (a marker may count for two segments).
+        names: marker names, length M; one on two segments is listed twice.
         segment_of: (M,) segment index of each marker.
-        levers: (M, S) complex C [m].
-        weights: (M,) of the least squares.
-        ankles: side -> (S,) complex lever of the ankle's centre [m].
-        standing_angles: (S,) absolute angles in standing [rad].
-        lengths_m: "shank" and "thigh", mean of the sides, between joint
-            centres in the sagittal plane of standing.
+        levers: (M, S) complex C [m]: a marker lies at p_0 + C w.
+        weights: (M,) of the markers in the least squares.
+        ankles: side -> (S,) complex C of the ankle's centre [m].
+        standing_angles: (S,) absolute segment angles in standing [rad].
+        lengths_m: of "shank" and "thigh" between joint centres in the sagittal
+            plane in standing, mean of the sides.
         ankle_height_m: of the ankle's centre in standing, mean of the sides.
     """
 
@@ -98,7 +97,7 @@ class MarkerModel:
         ]
 
     def foot_heights_m(self, side: str) -> np.ndarray:
-        """How high the markers on a foot are in standing (k,) [m]."""
+        """Heights (k,) of the k markers on a foot in standing [m]."""
         foot = self.index("foot", side)
         own = self.segment_of == foot
         arm = self.levers[own, foot] - self.ankles[side][foot]
@@ -119,7 +118,7 @@ class MarkerModel:
         )
 
     def loose(self) -> str | None:
-        """A segment that the markers leave free to turn; None if all hold."""
+        """A segment whose angle the markers do not determine, or None."""
         w = np.exp(1j * self.standing_angles)
         J = (
             np.column_stack(
@@ -134,10 +133,10 @@ class MarkerModel:
         return self.segments[int(np.argmax(np.abs(rows[-1][2:])))]
 
     def determined(self, hidden: np.ndarray) -> np.ndarray:
-        """Frames (N,) in which the markers that are seen hold every segment.
+        """Frames (N,) whose visible markers determine every segment's angle.
 
         Args:
-            hidden: (N, M) bool, in the order of `names`.
+            hidden: (N, M) bool, markers in the order of `names`.
         """
         patterns, which = np.unique(hidden, axis=0, return_inverse=True)
         names = np.array(self.names)
@@ -152,15 +151,15 @@ def build_marker_model(
     ball_m: tuple[float, float] | None = None,
     welded: Collection[str] = (),
 ) -> MarkerModel:
-    """Measure lengths and marker places in a standing trial.
+    """Measure segment lengths and marker positions in a standing trial.
 
     Args:
         standing: quiet part of the trial; its mean posture is used.
         markers: which markers are on which segment.
-        axes: which of the trial's point forward and up.
-        ball_m: place (x, z) of the toes' hinge before the ankle of a flat
-            foot; None where toes are rigid.
-        welded: feet that a device is welded to, whose markers are rigid.
+        axes: which axes of the trial's file point forward and up.
+        ball_m: position (x, z) of the toes' hinge relative to the ankle, foot
+            flat; None where toes are rigid.
+        welded: feet that a device is welded to; their markers do not slide.
 
     Raises:
         InputError: a marker is missing or has gaps, no leg is complete, or
@@ -188,7 +187,7 @@ def build_marker_model(
     rigid = [
         s for s in segments if s in welded or s.partition("_")[0] in welded
     ]
-    # Of each segment its markers, its origin and the lever of that.
+    # For each segment: markers, origin in standing, and the origin's C.
     on = markers.segments.pelvis
     own = (*on.left, *on.right, *on.middle)
     parts = [(own, hip, np.zeros(len(segments), complex))]
@@ -250,7 +249,7 @@ def build_marker_model(
 
 
 def _complete_sides(markers: Markers, source: str, leg) -> tuple[str, ...]:
-    """Legs with joint centres and markers on every segment."""
+    """Sides whose leg has all joint centres and markers on every segment."""
     sides = tuple(
         side
         for side in SIDES
@@ -272,7 +271,7 @@ def _mean_point(data: MarkerData, names, axes: Axes) -> complex:
 
 
 def _skeleton(segments, centres, hip, source):
-    """Unit vectors of the segments in standing, and levers of the joints."""
+    """w (S,) of the segments in standing, and side -> joint -> C (S,) [m]."""
     w = np.ones(len(segments), complex)
     joints = {}
     for side, c in centres.items():
@@ -299,11 +298,11 @@ def _skeleton(segments, centres, hip, source):
     return w, joints
 
 
-_MAX_ITERATIONS = 200  # markers that do not fit are followed slowly
+_MAX_ITERATIONS = 200  # markers that fit badly converge slowly
 _CONVERGED = 1e-10  # largest step [m or rad]
-# Weight of a marker that is not seen: none, but every frame has a solution.
+# Weight of a hidden marker: next to nothing, but keeps the equations regular.
 _UNSEEN = 1e-8
-# Markers may spread this many times as far as in standing, either way.
+# Largest ratio, either way, of the markers' spread to that in standing.
 _SPREAD = 5.0
 
 
@@ -312,7 +311,7 @@ class Poses:
     """Pose of the marker model in every frame.
 
     Attributes:
-        hip: (N,) complex x + i z, middle of the hips [m].
+        hip: (N,) complex x + i z of the mid-point of the hips [m].
         angles: (N, S) absolute segment angles [rad].
         residuals: (N, M) complex, measured minus model [m]; NaN where hidden.
     """
@@ -336,12 +335,12 @@ def solve_poses(
         points: (N, M, 2) x and z of the markers in the order of `model.names`
             [m], without gaps.
         source: file name, for messages.
-        progress: told of every iteration.
-        hidden: (N, M) bool, where points are not to be believed; nowhere by
-            default.
+        progress: prints a line now and then.
+        hidden: (N, M) bool, where points are only bridged gaps and get almost
+            no weight; nowhere by default.
 
     Raises:
-        InputError: the markers do not fit the model.
+        InputError: no convergence, or markers in another unit of length.
     """
     p = points[..., 0] + 1j * points[..., 1]
     if hidden is None:
@@ -364,7 +363,7 @@ def solve_poses(
         step = np.linalg.solve(
             normal, np.einsum("nmi,nm->ni", A, b)[..., None]
         )[..., 0]
-        # Half a radian at most: from any first guess it stays on the way.
+        # At most half a radian, so that any first guess converges.
         step[:, 2:] = np.clip(step[:, 2:], -0.5, 0.5)
         hip = hip + step[:, 0] + 1j * step[:, 1]
         phi = phi + step[:, 2:]
@@ -391,7 +390,7 @@ def solve_poses(
 def _check_spread(model: MarkerModel, p: np.ndarray, source: str) -> None:
     """Refuse markers (N, M) in another unit of length than in standing.
 
-    Judged by how far each is, in the median frame, from the median marker.
+    Compares each marker's median distance from the median of all markers.
     """
     if not len(p):
         return
@@ -421,12 +420,12 @@ def _middle(p: np.ndarray) -> np.ndarray:
 
 
 def _first_guess(model: MarkerModel, p: np.ndarray) -> np.ndarray:
-    """Turn of each segment's own markers since standing (N, S)."""
+    """Segment angles (N, S) [rad] by the turn of its own markers."""
     phi = np.tile(model.standing_angles, (len(p), 1))
     standing = model.levers @ np.exp(1j * model.standing_angles)
     for k in range(phi.shape[1]):
         of = model.segment_of == k
-        if not of.any():  # all were left out, its neighbours tell
+        if not of.any():  # all left out; neighbouring segments determine it
             continue
         s = standing[of] - standing[of].mean()
         if np.abs(s).max() > 0.01:
@@ -436,19 +435,19 @@ def _first_guess(model: MarkerModel, p: np.ndarray) -> np.ndarray:
 
 
 def ankle_paths(model: MarkerModel, poses: Poses) -> dict[str, np.ndarray]:
-    """Side -> centre of its ankle (N, 2) [m]."""
+    """Side -> x and z of the ankle's centre (N, 2) [m]."""
     w = np.exp(1j * poses.angles)
     ankles = {s: poses.hip + w @ lever for s, lever in model.ankles.items()}
     return {s: np.column_stack([a.real, a.imag]) for s, a in ankles.items()}
 
 
 def coordinates(model: Model, markers: MarkerModel, poses: Poses) -> np.ndarray:
-    """Coordinates (N, nq) of the subject without a device.
+    """Generalized coordinates (N, nq) of the subject without a device.
 
     Args:
-        model: subject, of one leg or two.
+        model: subject, with one leg or two.
         markers: the marker model.
-        poses: of it.
+        poses: pose of the marker model in every frame.
     """
     if model.assembly.human.sides:
         return _two_legs(model.rigid.tree, markers, poses)
@@ -456,7 +455,7 @@ def coordinates(model: Model, markers: MarkerModel, poses: Poses) -> np.ndarray:
 
 
 def merge_legs(model: MarkerModel, poses: Poses) -> np.ndarray:
-    """Coordinates of a body of one leg, both averaged.
+    """Coordinates of a body with one leg: the mean of both.
 
     Returns:
         q (N, 6): foot_x, foot_z (the ankle's centre) [m], foot_pitch, ankle,
@@ -479,16 +478,16 @@ def merge_legs(model: MarkerModel, poses: Poses) -> np.ndarray:
     return np.column_stack([ankle, *columns])
 
 
-# In space hips lie fore and aft of each other and legs are spread: one planar
-# hip cannot have all segments at their angles and both feet where they are.
-# Feet come first, since forces are measured under them.
+# In reality the hips are fore and aft of each other and the legs are spread, so
+# a planar body with one hip cannot match all segment angles and both feet.
+# Standard deviations make the feet fit best: forces are measured under them.
 _ANKLE_M, _FOOT_RAD = 0.002, 0.01
 _HIP_M, _LEG_RAD = 0.01, 0.03
 _PASSES = 8
 
 
 def _two_legs(tree: PlanarTree, model: MarkerModel, poses: Poses) -> np.ndarray:
-    """The planar body nearest to hips, segments' angles and ankles."""
+    """Coordinates (N, nq) that best fit hips, segment angles and ankles."""
     n, nq = len(poses.hip), tree.num_positions
     ankles = ankle_paths(model, poses)
     hip = np.column_stack([poses.hip.real, poses.hip.imag])
@@ -503,7 +502,7 @@ def _two_legs(tree: PlanarTree, model: MarkerModel, poses: Poses) -> np.ndarray:
             for name in model.segments
         ]
     )
-    # Angles alone determine all but the root's place.
+    # First guess: angles determine all coordinates but the root's position.
     q = np.zeros((n, nq))
     q[:, 2:] = poses.angles @ np.linalg.pinv(angles[:, 2:]).T
     q[:, :2] = hip
@@ -520,9 +519,9 @@ def _two_legs(tree: PlanarTree, model: MarkerModel, poses: Poses) -> np.ndarray:
 
 
 def residuals(model: MarkerModel, poses: Poses) -> dict[str, np.ndarray]:
-    """Distance of each marker from the model (N,) [m]; NaN where it is hidden.
+    """Marker -> distance from the model (N,) [m]; NaN where it is hidden.
 
-    A marker on two segments has one entry, the mean square over both.
+    A marker on two segments has one entry, the root mean square of both.
     """
     names = np.array(model.names)
     square = np.abs(poses.residuals) ** 2
@@ -533,7 +532,7 @@ def residuals(model: MarkerModel, poses: Poses) -> dict[str, np.ndarray]:
 
 
 def residual_rms(off: dict[str, np.ndarray]) -> dict[str, float]:
-    """Root mean square of each marker's `residuals` [m], where it is seen."""
+    """Marker -> root mean square of its `residuals` [m] where visible."""
     found = {}
     for name, x in off.items():
         seen = x[np.isfinite(x)]
@@ -542,7 +541,7 @@ def residual_rms(off: dict[str, np.ndarray]) -> dict[str, float]:
 
 
 def leg_angles(model: MarkerModel, poses: Poses) -> dict[str, np.ndarray]:
-    """Ankle, knee and hip (N, 3) of each leg, as `merge_legs` has them."""
+    """Side -> ankle, knee and hip angle (N, 3) [rad], signs of `merge_legs`."""
     found = {}
     for side in model.sides:
         foot, shank, thigh = (
@@ -563,20 +562,20 @@ def inverse_dynamics(
     a: np.ndarray,
     loads: dict[str, PlanarWrench],
 ) -> np.ndarray:
-    """Generalized forces that remain after the measured loads.
+    """Generalized forces of the motion, less those of the measured loads.
 
-    With the foot as root, the first three components are the forces
-    [N] and the pitch moment [N m] about the ankle that motion demands and no
-    load explains (zero for perfect data), and the joint moments are those of
-    the segments above each joint.
+    With the foot as root, the first three are the residual: the forces [N] and
+    the pitch moment [N m] about the ankle that the motion requires and no load
+    provides (zero for perfect data). Joint moments then follow from the
+    segments above each joint.
 
     Args:
-        model: the dynamics.
+        model: multibody model.
         q, v, a: (N, nq) filtered positions, velocities, accelerations.
-        loads: body name -> wrench on it.
+        loads: body name -> wrench (N,) on it.
 
     Returns:
-        (N, nq).
+        Generalized forces (N, nq) [N, N m].
     """
     Q = model.inverse_dynamics(q, v, a)
     for body, wrench in loads.items():
@@ -587,19 +586,19 @@ def inverse_dynamics(
 def from_the_ground_up(
     model: PlanarTree, q: np.ndarray, Q: np.ndarray
 ) -> np.ndarray:
-    """Move the unexplained force from the foot to the pelvis.
+    """Move the residual of inverse dynamics from the foot to the pelvis.
 
-    Joint moments then follow from the ground reaction and the segments
-    below each joint, as OpenSim computes them; the first three components
-    become zero, and what was there acts on the pelvis instead.
+    Joint moments then follow from the ground reaction and the segments below
+    each joint, as OpenSim computes them. The first three components become
+    zero: the residual acts on the pelvis instead.
 
     Args:
-        model: the dynamics.
+        model: multibody model.
         q: (N, nq) positions.
         Q: (N, nq) from `inverse_dynamics`.
 
     Returns:
-        (N, nq) with joint moments changed.
+        Generalized forces (N, nq) with other joint moments.
     """
     residual = PlanarWrench.of(model.ground_reaction(q, Q))
     return Q - model.wrench_on_body(q, "pelvis", residual.array)
@@ -608,13 +607,13 @@ def from_the_ground_up(
 def carried(
     load: Load, time: np.ndarray, place: np.ndarray, gravity: float
 ) -> PlanarWrench:
-    """Wrench on the body that bears a mass.
+    """Wrench (n,) of a carried mass on the body, about the origin.
 
     Args:
         load: the mass, and when it is carried.
         time: (n,) of the recording [s].
-        place: (n, 2) x and z of its centre, smooth [m].
-        gravity: its magnitude [m/s^2].
+        place: (n, 2) x and z of the mass's centre, filtered [m].
+        gravity: magnitude of gravity [m/s^2].
 
     >>> bag = Load("pelvis", mass_kg=10.0, at_m=(0.0, 0.3))
     >>> time = np.linspace(0.0, 1.0, 11)
@@ -631,7 +630,7 @@ def carried(
 
 
 def _share(load: Load, time: np.ndarray) -> np.ndarray:
-    """Part of the mass that the body bears (n,)."""
+    """Share of the load that the body bears (n,), 0 to 1."""
     share = np.ones(len(time))
     if load.from_s is not None:
         share *= minimum_jerk((time - load.from_s) / load.over_s)[0]
@@ -650,21 +649,21 @@ def wrenches(
     recorded: MarkerData,
     lag_s: float,
 ) -> dict[str, PlanarWrench]:
-    """Segment -> wrench (n,) of all that it bears.
+    """Segment -> sum of the wrenches (n,) of the trial's loads on it.
 
     Args:
         files: of the trial.
         settings: of the study.
-        root: folder that its paths start from.
-        tree: of the person without a device that moves.
+        root: folder that the study's paths start from.
+        tree: model of the person; a device, if any, moves with the person.
         time: (n,) of the recording [s].
-        q: (n, nq) filtered motion.
-        recorded: its markers.
-        lag_s: of the plates' clock behind the markers'.
+        q: (n, nq) filtered coordinates.
+        recorded: markers of the recording, unfilled.
+        lag_s: lag of the plates' clock behind the markers'.
 
     Raises:
-        InputError: markers or forces are missing, or do not cover it; a load
-            is not carried while it lasts.
+        InputError: markers or forces are missing or do not cover the
+            recording, or a load is not carried during it.
     """
     found: dict[str, PlanarWrench] = {}
     for load in files.loads:
