@@ -1,9 +1,9 @@
 """Angles and moments of the exoskeleton's joints, recorded or modelled.
 
-Files name columns exo_ankle, exo_knee, exo_hip for angles and
-exo_ankle_moment, ... for moments, or each with _left and _right at the end.
-Moments are those of drive and friction together, positive in the direction
-of the joint's angle.
+Columns of the files are exo_ankle, exo_knee, exo_hip for angles and
+exo_ankle_moment, ... for moments, or each with the suffix _left or _right.
+A moment is that of drive and friction together, positive in the direction of
+the joint's angle.
 """
 
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.planar_tree import PlanarTree
 
 _MOMENT = "_moment"
-# Ending of the columns -> what they hold, and its units in a .csv.
+# Suffix of the columns -> what they hold, and its units in a .csv.
 _UNITS = {
     "": ("an angle", ("deg", "rad")),
     _MOMENT: ("a moment", ("nm", "n m")),
@@ -35,11 +35,11 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class Signal:
-    """A filtered signal of the device's joints at its own rate.
+    """Filtered angles or moments of the device's joints, as sampled.
 
     Attributes:
         time: (N,) evenly spaced [s].
-        values: (N, joints).
+        values: (N, joints) [rad], or [N m] of both legs.
         source: file name.
         one_leg: the leg that was measured, None for both.
     """
@@ -50,26 +50,26 @@ class Signal:
     one_leg: str | None = None
 
     def delayed(self, delay_s: float) -> "Signal":
-        """The same signal with a lag of its clock taken out."""
+        """The same signal with its clock's lag removed from the times."""
         return replace(self, time=self.time - delay_s)
 
     def at(self, time: np.ndarray, what: str) -> np.ndarray:
-        """Values (N, joints) at other times; raises as `within`."""
+        """Values (n, joints) at times (n,); raises as `within`."""
         at = within(self.source, self.time, time, what)
         return resample(self.time, self.values, at)
 
     def motion(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Values and two derivatives, each (N, joints), at other times."""
+        """Values and two time derivatives, each (n, joints), at times (n,)."""
         time = within(self.source, self.time, time, "encoder angles")
         v, a = derivatives(self.time, self.values)
         return tuple(resample(self.time, x, time) for x in (self.values, v, a))
 
 
 def within(source: str, time, wanted, what: str) -> np.ndarray:
-    """The wanted times, those just beyond a recording moved to its ends.
+    """Wanted times, clipped to a recording that is at most a sample shorter.
 
     Raises:
-        InputError: it starts later or ends earlier, by more than a sample.
+        InputError: it starts later or ends earlier by more than a sample.
     """
     step = time[1] - time[0]
     if time[0] > wanted[0] + step or time[-1] < wanted[-1] - step:
@@ -84,12 +84,12 @@ def within(source: str, time, wanted, what: str) -> np.ndarray:
 def read_angles(
     path: Path, joints: tuple[str, ...], legs: Legs, settings: Filter
 ) -> Signal:
-    """Read encoders (.mot, .sto, .csv), filtered, in radians.
+    """Read encoder angles (.mot, .sto, .csv), filtered [rad].
 
     Args:
         path: the file.
-        joints: of the device, by name.
-        legs: that the file holds.
+        joints: names of the device's joints.
+        legs: which legs the file holds.
         settings: of the filter.
 
     Raises:
@@ -102,7 +102,7 @@ def read_angles(
 def read_moments(
     path: Path, joints: tuple[str, ...], legs: Legs, settings: Filter
 ) -> Signal:
-    """Read joint moments of both legs [N m]; raises as `read_angles`."""
+    """Read moments, sums of both legs [N m]; raises as `read_angles`."""
     return _read(path, joints, legs, settings, _MOMENT)
 
 
@@ -145,17 +145,17 @@ def _table(path: Path, joints: tuple[str, ...], ending: str) -> Table:
 
 
 def _columns(table: Table, joints: tuple[str, ...], ending: str) -> list[str]:
-    """Names of the joints' angles, or of their moments."""
+    """Columns of the table that hold the joints' angles, or moments."""
     own = [joint + ending for joint in joints]
     sided = [f"{name}_{side}" for name in own for side in SIDES]
     return [name for name in table.names if name in (*own, *sided)]
 
 
 def _of_legs(table: Table, name: str, legs: Legs) -> np.ndarray:
-    """Mean over legs (N,) of one joint's columns.
+    """Angle or moment (N,) of one joint, per leg: the mean of the legs.
 
-    A column without a side is one of both legs for `both` (a mean angle, or
-    a moment's sum) and that leg's otherwise.
+    A column without a side holds the mean angle or the summed moment of both
+    legs if `legs` is "both", else the value of that leg.
     """
     sided = [f"{name}_{side}" for side in SIDES]
     is_moment = name.endswith(_MOMENT)
@@ -180,10 +180,10 @@ def _of_legs(table: Table, name: str, legs: Legs) -> np.ndarray:
 
 
 def drive_moments(device: Device, tree: PlanarTree, q, v, a) -> np.ndarray:
-    """Moments (N, joints) of the device's joints from identified dynamics.
+    """Moments (N, joints) [N m] of the device by its identified dynamics.
 
-    The drives bear a share of the inertia and gravity of the links that they
-    move, less what rotors, friction and springs take:
+    The drives provide a share of what inertia and weight of the device's links
+    require; rotor inertia, friction and springs take from it:
 
         tau = share ID_exo(q, v, a) - J a - B v - C tanh(v/v_0) - K (q - q_0)
 
@@ -204,7 +204,7 @@ def drive_moments(device: Device, tree: PlanarTree, q, v, a) -> np.ndarray:
 
 
 def spring_moments(device: Device, tree: PlanarTree, q) -> np.ndarray:
-    """The part (N, joints) of `drive_moments` that springs give."""
+    """The springs' part (N, joints) of `drive_moments` [N m]."""
     names = tree.coordinates
     stiffness, rest_deg = _of_joints(
         device, names, "stiffness_nm_rad", "rest_deg"
@@ -214,23 +214,23 @@ def spring_moments(device: Device, tree: PlanarTree, q) -> np.ndarray:
 
 
 def spring_stiffness(device: Device | None, names: Coordinates) -> np.ndarray:
-    """Of the springs across the device's joints (joints,) [N m/rad]."""
+    """Stiffness (joints,) of springs across the device's joints [N m/rad]."""
     if device is None:
         return np.zeros(len(names.device))
     return _of_joints(device, names, "stiffness_nm_rad")[0]
 
 
 def friction_moments(device: Device, tree: PlanarTree, v) -> np.ndarray:
-    """The part (N, joints) of `drive_moments` that is friction."""
+    """Friction's part (N, joints) of `drive_moments` [N m]."""
     names = tree.coordinates
     viscous, dry, speed = _of_joints(
         device, names, "viscous_nm_s", "coulomb_nm", "coulomb_speed_rad_s"
     )
-    rates = np.take(v, names.device_columns, axis=1)  # row by row, as v
+    rates = np.take(v, names.device_columns, axis=1)  # row-major, as v
     return -viscous * rates - dry * np.tanh(rates / speed)
 
 
 def _of_joints(device: Device, names: Coordinates, *keys: str):
-    """What was identified of the device's joints, an array (joints,) a key."""
+    """One array (joints,) per key: `JointDrive` values of the joints."""
     joints = [device.of(name, names.follows(name)) for name in names.device]
     return [np.array([getattr(joint, k) for joint in joints]) for k in keys]

@@ -1,10 +1,9 @@
-"""From the pressure of a mat's cells to the force on a segment.
+"""Force on a segment from the pressures of a mat's cells.
 
-Where cells lie and which way they face comes from the scanned body. Pressure
-times area acts along the inward normal of the body's surface. The
-vectors are summed, and turned into the segment's axes: what is across the
-segment in the sagittal plane (its x) is the normal force of the paper. Shear
-is not measured.
+The scanned body gives the positions and directions of the cells. Each cell's
+force is pressure times area along the body's inward normal. The forces are
+summed in the segment's axes; their x component, across the segment in the
+sagittal plane, is the normal force of the paper. Shear is not measured.
 """
 
 from collections import defaultdict
@@ -39,21 +38,21 @@ from drake_exo.measurement.settings import (
 )
 from drake_exo.model.assembly import SIDES
 
-# A body or a part of it, largest extent [m].
+# Largest extent of a scan, of a body or a part of it [m].
 _PLAUSIBLE_M = (0.08, 3.0)
 _SUFFIXES = (".stl", ".ply", ".obj")
 _FARTHEST_M = 0.05  # of a mat's corner or cell from the surface
-_SAMPLES = 65  # of a line that is laid on the surface
-# Vector area over area: 0 of what is closed, 0.64 of half a cylinder.
+_SAMPLES = 65  # points of a line projected onto the surface
+# |vector area| / area above this is a patch: 0 if closed, 0.64 half a cylinder.
 _PATCH_SHARE = 0.8
 
 
 class Surface:
-    """A triangulated surface, x forward, y left, z up.
+    """A triangulated surface; x forward, y left, z up.
 
     Args:
         vertices: (V, 3) [m].
-        triangles: (F, 3), outwards.
+        triangles: (F, 3) vertex indices, counter-clockwise from outside.
         source: file name.
     """
 
@@ -78,7 +77,7 @@ class Surface:
         return on, triangles
 
     def normals(self, points, triangles, radius: float) -> np.ndarray:
-        """Outward unit normals (P, 3), averaged over a cell's size."""
+        """Outward unit normals (P, 3), averaged within a radius [m]."""
         total = self._area[triangles].copy()
         for i, near in enumerate(self._tree.query_ball_point(points, radius)):
             if near:
@@ -86,7 +85,7 @@ class Surface:
         return total / np.linalg.norm(total, axis=1, keepdims=True)
 
     def lay(self, start, end) -> np.ndarray:
-        """Lines (L, S, 3) over the surface between points (L, 3)."""
+        """Chords between points (L, 3), projected on the surface (L, S, 3)."""
         t = np.linspace(0.0, 1.0, _SAMPLES)[None, :, None]
         chord = start[:, None] + t * (end - start)[:, None]
         on, _ = self.closest(chord.reshape(-1, 3))
@@ -97,9 +96,8 @@ def read_surface(path: Path, scan: Scan) -> Surface:
     """Read a scan (.stl, .ply, .obj).
 
     Raises:
-        InputError: unreadable, no triangles, or of a size that no body has
-            in the unit that the study names, or a patch whose outer side
-            cannot be told.
+        InputError: unreadable, no triangles, a size impossible for a body in
+            the study's unit, or a patch whose outer side is ambiguous.
     """
     if Path(path).suffix.lower() not in _SUFFIXES:
         raise InputError(
@@ -109,7 +107,7 @@ def read_surface(path: Path, scan: Scan) -> Surface:
     return _surface(path, scan.unit, scan.axes)
 
 
-@kept(8)  # every trial asks for those of all mats
+@kept(8)  # every trial reads the scans of all mats
 def _surface(path: Path, unit: str, axes: Axes) -> Surface:
     raw, triangles = read_cells(path, "triangle", "export it again")
     if len(triangles) == 0:
@@ -128,13 +126,13 @@ def _surface(path: Path, unit: str, axes: Axes) -> Surface:
 
 
 def _outwards(surface: Surface) -> Surface:
-    """Turn all triangles if they face the middle of the body.
+    """Flip all triangles if they face the body's middle.
 
-    A flat one has its sides as its file says.
+    A flat surface keeps the orientation of its file.
 
     Raises:
-        InputError: it is a patch that faces its own middle, be it hollow or
-            inside out.
+        InputError: a patch faces its own middle, so that it may be either a
+            hollow or inside out.
     """
     area = surface._area
     away = area * (surface._centres - surface._centres.mean(axis=0))
@@ -156,8 +154,8 @@ def place_cells(
 ) -> np.ndarray:
     """Centres (rows * columns, 3) of a mat's cells on the surface [m].
 
-    Between corners, the mat's first and last column are laid on the surface,
-    then every row between them; cells lie evenly along those lines.
+    The edges along the mat's first and last column are projected onto the
+    surface, then every row between them; cells lie evenly along these lines.
 
     Raises:
         InputError: corners or cells are off the surface, or the file of
@@ -187,7 +185,7 @@ def place_cells(
 
 
 def _along(line: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Points at shares of a line's length."""
+    """Points (k, 3) at shares (k,) of the length of a line (S, 3)."""
     length = np.linalg.norm(np.diff(line, axis=0), axis=1)
     s = np.r_[0.0, np.cumsum(length)]
     s = s / s[-1] if s[-1] > 0.0 else np.linspace(0.0, 1.0, len(s))
@@ -195,7 +193,7 @@ def _along(line: np.ndarray, share: np.ndarray) -> np.ndarray:
 
 
 def _read_cells(path: Path, rows: int, columns: int) -> np.ndarray:
-    """Cells' places, in the order of the mat."""
+    """Positions of the cells (rows * columns, 3), row by row."""
     table = read_places(path)
     wanted = [(r, c) for r in range(rows) for c in range(columns)]
     found = {(row - 1, column - 1): xyz for row, column, *xyz in table}
@@ -207,20 +205,20 @@ def _read_cells(path: Path, rows: int, columns: int) -> np.ndarray:
     return np.array([found[key] for key in wanted])
 
 
-_PITCH = (0.5, 2.0)  # cells' distance on the scan against their size
-_LONG = 3.0  # times farther apart one way than the other: rows are columns
+_PITCH = (0.5, 2.0)  # distance of neighbouring cells on the scan over size
+_LONG = 3.0  # above this ratio of pitches, rows and columns are exchanged
 
 
 @dataclass(frozen=True)
 class MatForce:
-    """Force of one mat on the human, filtered, of both legs.
+    """Filtered force of one mat on the human; doubled if of one leg alone.
 
     Attributes:
-        name, segment: of the mat and of what it lies on.
+        name, segment: of the mat, and of the cuff under which it lies.
         time: (N,) evenly spaced [s].
         force: (N, 3) in the segment's axes (x forward, y left, z up) [N].
         source: file name.
-        report: how cells were mapped, what was doubled.
+        report: fit of the cells to the scan, peak pressure, doubling.
     """
 
     name: str
@@ -236,7 +234,7 @@ class MatForce:
         return self.force[:, 0]
 
     def delayed(self, delay_s: float) -> "MatForce":
-        """The same force with a lag of its clock taken out."""
+        """The same force with its clock's lag removed from the times."""
         return replace(self, time=self.time - delay_s)
 
 
@@ -246,7 +244,7 @@ def read_mat_forces(
     root: Path,
     settings: Filter,
 ) -> tuple[MatForce, ...]:
-    """Read the pressure recordings of a trial.
+    """Read the pressure recordings of a trial as forces of its mats.
 
     Raises:
         InputError: unreadable; another number of cells than the mats have;
@@ -279,11 +277,11 @@ def read_mat_forces(
 
 
 def _seen(pressure: np.ndarray) -> dict[str, float]:
-    """Peak, how much of the readings sits exactly at it, and stuck cells.
+    """Peak pressure, share of loaded readings at the peak, and stuck cells.
 
-    Cells that saturate do so at one value: many readings at the peak mean
-    that forces are underestimated. One that never changes, and shows twice as
-    much as any that does, is broken.
+    Cells saturate at one value, so many readings at the peak mean that forces
+    are underestimated. A cell that never changes and shows more than twice
+    what any other cell reaches is broken.
     """
     peak = float(pressure.max())
     loaded = pressure > 0.0
@@ -334,19 +332,19 @@ def _read(path: Path, names, mats: dict[str, Mat]) -> PressureRecording:
 def cell_directions(
     mat: Mat, name: str, root: Path
 ) -> tuple[np.ndarray, dict[str, Any]]:
-    """Inward unit normals (cells, 3) in the segment's axes.
+    """Inward unit normals (cells, 3) of a mat's cells in the segment's axes.
 
     Args:
-        mat: which cells, and where they are.
-        name: for messages.
+        mat: number and position of the cells.
+        name: the mat's, for messages.
         root: folder of the scan.
 
     Returns:
-        The normals, and how well the cells fit the surface.
+        The normals, and a report of how the cells fit the surface.
 
     Raises:
-        InputError: see `read_surface` and `place_cells`; cells that lie much
-            closer or farther apart than they are large.
+        InputError: see `read_surface` and `place_cells`; also if the cells'
+            pitch on the scan does not fit their size.
     """
     count = mat.rows * mat.columns
     if mat.plane_normal is not None:
@@ -358,7 +356,7 @@ def cell_directions(
     points = place_cells(surface, scan, mat.rows, mat.columns, root)
     on, triangles = surface.closest(points)
     size = np.sqrt(mat.cell_area_m2)
-    # Distances of neighbours, from row to row and in a row, if there are.
+    # Distances of neighbours: from row to row, and within a row.
     grid = points.reshape(mat.rows, mat.columns, 3)
     steps = [
         np.linalg.norm(np.diff(grid, axis=k), axis=2).ravel() for k in (0, 1)
@@ -385,7 +383,7 @@ def cell_directions(
     return -outward @ _to_segment(scan).T, report
 
 
-_AXIS = 0.02, 2.0  # a segment's length [m]
+_AXIS = 0.02, 2.0  # shortest and longest segment [m]
 
 
 def _to_segment(scan: Scan) -> np.ndarray:
@@ -401,11 +399,11 @@ def _to_segment(scan: Scan) -> np.ndarray:
             "apart; give the lower and the upper joint centre in the scan's "
             "unit"
         )
-    if z < -0.5 * length:  # one that lies is neither
+    if z < -0.5 * length:  # a lying segment passes
         raise InputError(
             f"{scan.file}: the second point of segment_axis is {-z:.3g} m "
             "below the first; give the lower joint centre first, or correct "
             "up in the scan's axes"
         )
-    # The segment's z in the sagittal plane, its x a quarter turn before.
+    # z along the segment in the sagittal plane, x perpendicular, forward.
     return np.array([[z, 0.0, -x], [0.0, length, 0.0], [x, 0.0, z]]) / length
