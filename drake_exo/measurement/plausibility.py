@@ -1,9 +1,9 @@
-"""Whether recordings can be what they are taken for, told before a solve.
+"""Plausibility checks of a study's recordings, made before a solve.
 
-The body: mass, posture, ranges of joints, Newton and Euler, both legs. Plates
-against feet: units, sides, axes, channels that do not measure. The device
-against the person: sign, offset and unit of each joint. Encoders against the
-movement that markers saw, by other trials.
+Of the body: mass, posture, joint ranges, Newton's and Euler's law, both legs.
+Of plates against feet: units, sides, axes, dead channels. Of the device against
+the person: sign, offset and unit of each joint. Of files against the movements
+of other trials: are encoders, forces and wearer those of this trial?
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -33,18 +33,18 @@ from drake_exo.measurement.trial import Trial, saw_device
 from drake_exo.model.assembly import SIDES
 from drake_exo.model.segments import LEG_JOINTS
 
-# A plate that bears less has no centre of pressure worth a judgement [N].
+# Below this force a plate's centre of pressure is too uncertain to judge [N].
 LOADED_N = 50.0
-# A walker's centre of mass sways by 25 mm either way in strides of 1.1 s.
+# Peak sideways speed: a CoM that sways by ±25 mm in strides of 1.1 s.
 _SWAY_M_S = 0.15
-# The foot reaches so far behind its hindmost marker, and its markers so far
-# inside of its edges [m].
+# Added behind a foot's rearmost marker, and to its length [m].
 _HEEL_M = 0.03
-_WHOLE = 0.5  # of a foot's length that markers with the heel's among them span
+# Markers that span less of the foot's length include none at the heel.
+_WHOLE = 0.5
 
 
-# Name -> limit, its unit, and the file that a sentence speaks of. How each was
-# chosen, and how often it errs: docs/plausibility.md.
+# Check -> limit, its unit, and the file that its message names. How each was
+# chosen, and how often it is wrong: docs/plausibility.md.
 LIMITS: dict[str, tuple[float, str, str]] = {
     # of standing
     "mass": (5.0, "%", "standing"),
@@ -80,7 +80,7 @@ LIMITS: dict[str, tuple[float, str, str]] = {
     "cop_light": (0.05, "m", "forces"),
     "foot_sides": (0.0, "m", "markers"),
     "plate_sides": (0.0, "m", "forces"),
-    # A plate repeats itself to the last digit only where it does not measure.
+    # A loaded plate repeats a value exactly only where it does not measure.
     "flat_channel": (25.0, "%", "forces"),
     "saturated_channel": (0.0, "s", "forces"),
     "chair": (0.15, "N", "forces"),
@@ -94,8 +94,8 @@ LIMITS: dict[str, tuple[float, str, str]] = {
     "encoder_frozen": (5.0, "deg", "encoders"),
     "encoder_joints": (1.1, "", "encoders"),
     "encoder_motion": (35.0, "%", "encoders"),
-    # So much better may encoders fit the movement of another trial, and two
-    # files the movements of each other.
+    # Largest ratio by which encoders may fit another trial's movement better,
+    # and by which two trials may fit better with files exchanged.
     "encoder_file": (1.5, "", "encoders"),
     "encoder_swap": (1.25, "", "encoders"),
     "encoder_stranger": (0.45, "", "encoders"),
@@ -104,11 +104,11 @@ LIMITS: dict[str, tuple[float, str, str]] = {
     "device_moment": (0.5, "N m", "exo_moments"),
     "device_worn": (1.0, "trials", "encoders"),
 }
-_LEAST = {
+_LEAST = {  # checks whose limit is a minimum
     *("foot_sides", "plate_sides", "encoder_sign", "mat_still"),
     "device_worn",
 }
-_OF_WEIGHT = {
+_OF_WEIGHT = {  # checks whose limit is a share of body weight
     *("newton", "euler", "mean_forward", "mean_sideways", "chair"),
     "device_moment",
 }
@@ -124,7 +124,7 @@ def _judged(
     level: Level = "fail",
     weight: float = 1.0,
 ) -> Check:
-    """A check, by default that a value keeps to its limit."""
+    """A check against `LIMITS`; `holds` overrules the comparison."""
     usual, unit, _ = LIMITS[name]
     limit = usual if limit is None else limit
     limit *= weight if name in _OF_WEIGHT else 1.0
@@ -144,13 +144,13 @@ def _judged(
 
 @dataclass(frozen=True)
 class Evidence:
-    """One trial, the files that it comes from and its whole recording.
+    """What is judged: a trial, its files and the whole recording.
 
     Attributes:
-        files: names of the files.
-        trial: the used part.
-        recording: what it was cut from.
-        subject: fitted to standing.
+        files: names of the trial's files.
+        trial: the used part, n samples.
+        recording: the recording from which it was cut, N samples.
+        subject: the subject's model, fitted to standing.
     """
 
     files: TrialFiles
@@ -166,15 +166,15 @@ class Evidence:
         file: object = None,
         **changed: Any,
     ) -> Check:
-        """A check of this trial, by default that a value keeps to its limit.
+        """A check of this trial: by default that a value is within its limit.
 
         Args:
-            name: of `LIMITS`.
+            name: key of `LIMITS`.
             value: found.
-            sentence: for a check that does not hold.
-            file: that it speaks of, where not the usual one.
-            changed: `holds`, where more than the limit decides; another
-                `limit`; or the `level` "note".
+            sentence: message if it does not hold.
+            file: that the message names, if not the usual one.
+            changed: `holds`, if more than the limit decides; another `limit`;
+                or the `level` "note".
         """
         file = file or getattr(self.files, LIMITS[name][2])
         where, told = self.trial.name, f"{file}: {sentence}"
@@ -182,37 +182,37 @@ class Evidence:
 
     @property
     def weight(self) -> float:
-        """Body weight with what is rigidly worn [N]."""
+        """Weight of body and device together [N]."""
         return self.subject.model.rigid.tree.weight
 
     @cached_property
     def inside(self) -> np.ndarray:
-        """The used part of the recording (N,) bool."""
+        """Frames (N,) bool of the recording in the used part."""
         start, duration = self.trial.start_s, self.trial.duration
         return between(self.recording.motion.time, start, start + duration)
 
     @property
     def body(self) -> list[np.ndarray]:
-        """q, v, a (n, .) of the body without the device."""
+        """q, v, a (n, nq) of the body without the device."""
         columns = self.trial.coordinates.body_columns
         return [
             x[:, columns] for x in (self.trial.q, self.trial.v, self.trial.a)
         ]
 
     def expected(self, body: np.ndarray) -> np.ndarray:
-        """The device's angles or speeds (n, device's) if it moves as the body.
+        """Device's joint angles or speeds (n, joints), if it follows the body.
 
         Args:
-            body: (n, .) positions or velocities of the body.
+            body: (n, nq) positions or velocities of the body.
         """
         names = self.trial.coordinates
         return body[:, -len(names.human) :] @ names.turned_by.T
 
     @cached_property
     def needed(self) -> np.ndarray:
-        """F_x, F_z [N] and moment [N m] (n, 3) that motion asks for.
+        """External F_x, F_z [N], M_y [N m] (n, 3) that the motion requires.
 
-        About the laboratory's origin, of feet and chair together.
+        About the laboratory's origin; feet, chair and loads together.
         """
         tree = self.subject.model.rigid.tree
         Q = inverse_dynamics(tree, *self.body, {})
@@ -220,12 +220,12 @@ class Evidence:
 
     @cached_property
     def needed_z(self) -> np.ndarray:
-        """Vertical force (N,) that the whole recording's motion asks for."""
+        """Vertical force (N,) that the recording's motion requires [N]."""
         return needed_force(self.subject.model.rigid, self.recording.motion)
 
     @cached_property
     def measured(self) -> np.ndarray:
-        """The same as the plates have it (n, 3)."""
+        """Measured counterpart (n, 3) of `needed`."""
         trial = self.trial
         loads = (
             trial.ground,
@@ -235,12 +235,12 @@ class Evidence:
         return sum(w.array for w in loads)
 
     def pitch_error(self, turned: bool = False) -> float:
-        """RMS moment that Euler's law misses [N m].
+        """RMS residual moment of Euler's law [N m].
 
-        About the body's root: the ankle, of two legs the middle of the hips.
+        About the body's root: the ankle; with two legs the mid-point of hips.
 
         Args:
-            turned: as if the plates' axes were turned by half a turn.
+            turned: with the plates' axes turned by 180° about the vertical.
         """
         measured = self.measured * ([-1.0, 1.0, -1.0] if turned else 1.0)
         F_x, F_z, moment = (self.needed - measured).T
@@ -249,7 +249,7 @@ class Evidence:
 
     @cached_property
     def plates(self) -> dict[str, np.ndarray]:
-        """Foot -> force and moment (n, 6) about the origin, not levelled."""
+        """Foot -> force, moment about the origin (n, 6), drift not removed."""
         forces = self.recording.forces
         time = self.recording.motion.time[self.inside]
         return {
@@ -262,35 +262,35 @@ class Evidence:
 
     @property
     def has_two_plates(self) -> bool:
-        """Whether each foot has one."""
+        """Whether each foot has its own plate."""
         return all(side in self.plates for side in SIDES)
 
     def loaded(self, foot: str) -> np.ndarray:
-        """Frames (n,) in which a plate bears something."""
+        """Frames (n,) bool in which a plate bears more than 50 N."""
         return self.plates[foot][:, 2] > LOADED_N
 
     def cop(self, foot: str, turned: bool = False, scale: float = 1.0):
-        """Centre of pressure (k, 2), forward and left, where loaded [m].
+        """Centre of pressure (k, 2), forward and left [m], k loaded frames.
 
         Args:
             foot: of the plate.
-            turned: as if the plates' axes were turned by half a turn.
-            scale: of lengths.
+            turned: with the plates' axes turned by 180° about the vertical.
+            scale: factor on lengths, to try another unit.
         """
         w = self.plates[foot][self.loaded(foot)]
         p = np.column_stack([-w[:, 4], w[:, 3]]) / w[:, 2:3]
         return scale * (-p if turned else p)
 
     def sole(self, foot: str, plate: str | None = None) -> np.ndarray | None:
-        """Where a foot is: back, front, right, left (k, 4) [m].
+        """Edges of a foot: back, front, right, left (k, 4) [m].
 
         Args:
             foot: "left", "right" or "both".
             plate: whose loaded frames are wanted; that of the foot if None.
 
         Returns:
-            None where the foot's markers are not known. Across, only what
-            markers show counts; a lone leg says nothing of the other's.
+            None without markers of the foot. Sideways the outermost markers
+            are the edges; NaN for "both" if one foot has no markers.
         """
         feet = self.recording.motion.feet
         sides = SIDES if foot == "both" else (foot,)
@@ -303,7 +303,7 @@ class Evidence:
         length = self.subject.model.human.foot.length_m + _HEEL_M
         back = x.min(axis=1) - _HEEL_M
         span = np.ptp(x, axis=1)
-        if len(p) and np.median(span) < _WHOLE * length:  # no heel is seen
+        if len(p) and np.median(span) < _WHOLE * length:  # no heel marker
             back = x.max(axis=1) - length
         front = np.maximum(x.max(axis=1), x.min(axis=1) + length)
         right, left = y.min(axis=1), y.max(axis=1)
@@ -312,10 +312,10 @@ class Evidence:
         return np.column_stack([back, front, right, left])
 
     def outside(self, foot: str, **changed) -> tuple[float, float]:
-        """How far the centre of pressure leaves the foot, along and across.
+        """Distances of the CoP outside the foot, along and across [m].
 
-        In 95 % of the loaded frames it is nearer [m]; negative inside, NaN
-        where nothing can be said.
+        95th percentile over the loaded frames; negative inside the foot, NaN
+        without markers or load.
         """
         sole = self.sole(foot)
         if sole is None or not len(sole):
@@ -325,12 +325,12 @@ class Evidence:
         return float(np.quantile(along, 0.95)), float(np.quantile(across, 0.95))
 
     def astray(self, foot: str) -> tuple[float, float]:
-        """How far the pressure that is used leaves the foot along it, ever.
+        """Largest distance of the processed CoP in front of or behind the foot.
 
         Returns:
-            That distance [m], negative inside, and the largest force that a
-            plate bears while it is beyond its limit [N]; NaN and 0 where
-            nothing can be said.
+            That distance [m], negative inside the foot, and the largest force
+            [N] while the CoP is beyond the limit of `cop_light`; NaN and 0
+            without markers or load.
         """
         sole = self.sole(foot)
         if sole is None or not len(sole):
@@ -346,9 +346,9 @@ class Evidence:
         )
 
     def off_side(self, **changed) -> float:
-        """How much nearer each plate's pressure is to its own foot [m].
+        """How much nearer the CoP is to a plate's own foot, sideways [m].
 
-        Negative where it is nearer to the other: mean over both.
+        Mean of both feet; negative if it is nearer to the other foot.
         """
         nearer = []
         for side, other in (SIDES, SIDES[::-1]):
@@ -362,7 +362,7 @@ class Evidence:
 
     @property
     def feet_apart_m(self) -> float:
-        """How far the left foot stands left of the right one [m]."""
+        """Distance of the left foot to the left of the right one [m]."""
         feet = self.recording.motion.feet
         left, right = (
             feet[side][self.inside, :, 1].mean(axis=1) for side in SIDES
@@ -378,11 +378,11 @@ class Evidence:
 _LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2}
 _FLAT_SAMPLES, _FLAT_S = 5, 0.05
 _FLAT_N = 20.0
-_MOVES_SHARE = 0.02  # of body weight: the motion asks for another force
+_MOVES_SHARE = 0.02  # of body weight: change of force that motion requires
 
 
 def plate_checks(e: Evidence) -> Iterator[Check]:
-    """Of the plates in one trial."""
+    """Checks of the plates in one trial."""
     for foot in e.plates:
         if np.isfinite(e.outside(foot)[0]):
             yield from _pressure(e, foot)
@@ -397,12 +397,12 @@ def plate_checks(e: Evidence) -> Iterator[Check]:
 
 
 def _beyond(x, low, high):
-    """How far x is outside of a range; negative inside."""
+    """Distance of x outside the range low to high; negative inside."""
     return np.maximum(low - x, x - high)
 
 
 def likely_cause(e: Evidence) -> str | None:
-    """What would put the centres of pressure under their feet, in words."""
+    """Mistake that would explain CoPs beside their feet; None if they fit."""
     if _fits(e):
         return None
     knees = [a[e.inside, 1].min() for a in e.recording.motion.legs.values()]
@@ -425,7 +425,7 @@ def likely_cause(e: Evidence) -> str | None:
 
 
 def _fits(e: Evidence, **changed) -> bool:
-    """Whether each centre of pressure would be under its own foot."""
+    """Whether each CoP is under its own foot, with `cop`'s `changed`."""
     for foot in e.plates:
         along, across = e.outside(foot, **changed)
         if along > LIMITS["cop_along"][0] or across > LIMITS["cop_across"][0]:
@@ -494,7 +494,7 @@ def _sides(e: Evidence) -> Check:
 
 
 def _repeats(e: Evidence, F_z: np.ndarray) -> list[tuple[int, int]]:
-    """Runs in which a loaded plate repeats itself while the body moves."""
+    """Runs (start, end) of an unchanged load while motion requires change."""
     forces, motion = e.recording.forces, e.recording.motion
     loaded = np.abs(F_z) > _FLAT_N
     same = np.r_[False, np.diff(F_z) == 0.0] & loaded
@@ -508,7 +508,7 @@ def _repeats(e: Evidence, F_z: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _stuck(e: Evidence, name: str, F_z: np.ndarray) -> Iterator[Check]:
-    """Whether a plate does not measure, or its peaks are cut off."""
+    """Checks for a plate that does not measure, or whose peaks are clipped."""
     found, top = _repeats(e, F_z), F_z.max()
     rate = e.recording.forces.rate_hz
     loaded = max(int((np.abs(F_z) > _FLAT_N).sum()), 1)
@@ -548,21 +548,21 @@ def _chair(e: Evidence) -> Check:
 
 RANGES_DEG = {"ankle": (-50.0, 60.0), "knee": (-20.0, 165.0)}
 RANGES_DEG["hip"] = (-45.0, 150.0)
-_LEAP_REACH_S = 0.25  # what the filter carries into the used part
-_LIFTED, _STANDS = 0.05, 0.3  # of body weight, on one foot and the other
-# The last two differ by 2 %, less than plates of people do.
+_LEAP_REACH_S = 0.25  # how far the filter carries a fault into the used part
+_LIFTED, _STANDS = 0.05, 0.3  # of body weight: at most, and at least
+# kgf and daN differ by 2 %, too little to tell apart.
 _UNITS = {"kN": 1e-3, "lbf": 1.0 / 4.448, "kgf or daN": 0.1}
 
 
 def standing_checks(
     subject: SubjectModel, standing: Standing
 ) -> Iterator[Check]:
-    """Of the standing trial."""
+    """Checks of the standing trial."""
     said = subject.report
     measured, stated = said.get("standing_mass_kg"), said["stated_mass_kg"]
     if measured is not None and stated is not None:
         off = measured / stated - 1.0
-        # A unit is told by all that plates bear, the device too.
+        # The unit of force is judged by all that the plates bear, device too.
         device = subject.model.tree.mass - subject.mass_kg
         borne = (measured + device) / (stated + device)
         beyond = "beyond the device " if device > 0.5 else ""
@@ -614,7 +614,7 @@ def standing_checks(
 
 
 def body_checks(e: Evidence) -> Iterator[Check]:
-    """Of the body in one trial."""
+    """Checks of the body in one trial."""
     yield from _ranges(e)
     yield _markers(e)
     yield _leap(e)
@@ -624,14 +624,14 @@ def body_checks(e: Evidence) -> Iterator[Check]:
     if e.subject.model.assembly.human.sides:
         yield _belt(e)
         yield _end_joints(e)
-    else:  # a step ends within a movement, and its legs do not move alike
+    else:  # two legs: a step ends in mid-movement, and legs move differently
         yield _end(e)
         if e.has_both_feet:
             yield from _legs(e)
 
 
 def _belt(e: Evidence) -> Check:
-    """Whether feet that bear the body stand."""
+    """Whether feet that bear the body are at rest, not on an unstated belt."""
     motion, speeds = e.recording.motion, [np.zeros(0)]
     for side, markers in motion.feet.items():
         forward = np.gradient(markers[..., 0].mean(axis=1), motion.time)
@@ -686,7 +686,7 @@ def _markers(e: Evidence) -> Check:
 
 
 def _leap(e: Evidence) -> Check:
-    """Whether a marker was taken for another, or a reflection for it."""
+    """Whether a marker leaps: confused with another or with a reflection."""
     worst = _worst(e, e.recording.motion.leaps)
     far = worst.size > LIMITS["marker_leap"][0]
     return e.check(
@@ -702,7 +702,7 @@ def _leap(e: Evidence) -> Check:
 
 
 def _standstill(e: Evidence) -> Check:
-    """Whether a marker keeps its place while those beside it move on."""
+    """Whether a marker is frozen while the others of its segment move."""
     worst = _worst(e, e.recording.motion.standstills)
     return e.check(
         "marker_frozen",
@@ -715,7 +715,7 @@ def _standstill(e: Evidence) -> Check:
 
 
 def _worst(e: Evidence, found: Iterable[MarkerFault]) -> MarkerFault:
-    """Of those in the used part, and what the filter carries into it."""
+    """Largest fault in the used part, and where the filter reaches from."""
     start, end = e.trial.start_s, e.trial.start_s + e.trial.duration
     near = [
         one
@@ -727,7 +727,7 @@ def _worst(e: Evidence, found: Iterable[MarkerFault]) -> MarkerFault:
 
 
 def _floor(e: Evidence) -> Iterator[Check]:
-    """Whether feet that bear something are as high as in standing."""
+    """Whether markers of loaded feet are as high as in standing."""
     motion = e.recording.motion
     model = e.subject.markers.without((*motion.without, *motion.absent))
     for side, markers in motion.feet.items():
@@ -735,7 +735,7 @@ def _floor(e: Evidence) -> Iterator[Check]:
         if plate not in e.plates or not e.loaded(plate).any():
             continue
         z = markers[e.inside, :, 2][e.loaded(plate)]
-        # Of all that a foot does on the floor, flat is the lowest.
+        # Markers are lowest while the foot is flat, as in standing.
         above = (z - model.foot_heights_m(side)).mean(axis=1)
         above = float(np.quantile(above, 0.05))
         yield e.check(
@@ -794,19 +794,19 @@ def _dynamics(e: Evidence) -> Iterator[Check]:
 
 
 def _sway(e: Evidence) -> float:
-    """Mean force, in body weights, that sends a walker to the other side.
+    """Mean sideways force of a walker in the used part, in body weights.
 
-    Of a part that ends on other feet than it begins on.
+    Zero if it ends on the same feet as it begins on: the CoM sways back.
     """
     first, last = ([e.loaded(p)[k] for p in e.plates] for k in (0, -1))
     return 2.0 * _SWAY_M_S / (g * e.trial.duration) * (first != last)
 
 
 def shear_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
-    """Whether fore-aft forces have the sign that motions ask for.
+    """Whether fore-aft forces have the sign that the motion requires.
 
-    Of each plate, and of all together, in all trials with the same plates: one
-    alone may hold too little of it.
+    Of each plate and of all plates, over all trials with the same plates: the
+    fore-aft force in one trial may be too small to judge.
     """
     groups: dict[Plates, list[Evidence]] = {}
     for e in evidence:
@@ -831,11 +831,11 @@ def shear_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
 
 
 def _shear_missed(e: Evidence, turned: Iterable[str] = ()) -> float:
-    """Square sum of F_x that is missed, about its mean, in body weights.
+    """Sum of squares of F_x's residual about its mean, in body weights.
 
     Args:
         e: a trial.
-        turned: plates whose F_x counts the other way.
+        turned: plates whose F_x is taken with the opposite sign.
     """
     factor = 2.0 if e.recording.forces.is_one_leg else 1.0
     added = factor * sum(2.0 * e.plates[name][:, 0] for name in turned)
@@ -844,7 +844,7 @@ def _shear_missed(e: Evidence, turned: Iterable[str] = ()) -> float:
 
 
 def _unit_of(ratio: float) -> str | None:
-    """A unit of force that explains what plates bear, as a share."""
+    """Unit of force, in words, that explains measured over required force."""
     for unit, factor in _UNITS.items():
         if abs(ratio / factor - 1.0) < 0.15:
             return f"forces look like {unit}: export newtons"
@@ -852,7 +852,7 @@ def _unit_of(ratio: float) -> str | None:
 
 
 def _end(e: Evidence) -> Check:
-    """Whether the recording starts or stops while the body rises."""
+    """Whether the recording starts or ends while the hips move."""
     motion = e.recording.motion
     first, last = np.flatnonzero(e.inside)[[0, -1]]
     hips = np.abs(np.gradient(motion.hip_z, motion.time))
@@ -868,17 +868,17 @@ def _end(e: Evidence) -> Check:
 
 
 def _worse_end(time, starts: float, stops: float) -> tuple[float, str]:
-    """The larger of two speeds, and where a recording has it, in words."""
+    """The larger of the speeds at start and end, and which, in words."""
     if starts > stops:
         return starts, f"the recording starts at {time[0]:g} s"
     return stops, f"the recording ends at {time[-1]:g} s"
 
 
 def _end_joints(e: Evidence) -> Check:
-    """Whether the filter saw what comes before and after the used part.
+    """Whether joints are slow where the used part is near the file's ends.
 
-    Where the recording ends it goes on as if nothing accelerated: there
-    accelerations are lost, and within half a reach some of them.
+    The filter continues a recording beyond its ends without acceleration, so
+    accelerations there are lost, and are wrong within half of its reach.
     """
     time, legs = e.recording.motion.time, e.recording.motion.legs
     angles = np.rad2deg(np.hstack(list(legs.values())))
@@ -952,16 +952,16 @@ def _shares(e: Evidence, one: str) -> Iterator[Check]:
 
 GAINS = (0.4, 2.5)
 _REACH_S = 0.06
-_FACES = 0.3  # of a mat's area, along the normal
-_MOVES_DEG = 10.0  # a joint that moves less says little
-_FAR_DEG = 30.0  # and of speeds, one that moves less
+_FACES = 0.3  # floor of a cuff's summed forward shares: mats at the sides
+_MOVES_DEG = 10.0  # joints of smaller range are not judged by their angles
+_FAR_DEG = 30.0  # joints of smaller range are not judged by their speeds
 _UPRIGHT_SHARE = 0.05  # of the trial, around its most upright posture
-_STEP_S = 0.005
-_STILL_DEG_S, _FROZEN_S = 0.5, 0.1  # slower than that, for so long
+_STEP_S = 0.005  # of lags that are tried
+_STILL_DEG_S, _FROZEN_S = 0.5, 0.1  # slower for this long is a standstill
 
 
 def device_checks(e: Evidence) -> Iterator[Check]:
-    """Of the encoders in one trial."""
+    """Checks of the encoders in one trial."""
     if e.recording.angles is None:
         return
     names = e.trial.coordinates
@@ -994,7 +994,7 @@ def device_checks(e: Evidence) -> Iterator[Check]:
 
 
 def load_checks(e: Evidence) -> Iterator[Check]:
-    """Of mats, and of the device's joint moments, in one trial."""
+    """Checks of mats, and of the device's joint moments, in one trial."""
     for cuff, force in e.trial.cuffs.items():
         mats = [m for m in e.recording.mats if m.segment == cuff]
         file = next(f for f in e.files.pressure if mats[0].name in f.mats).file
@@ -1024,7 +1024,7 @@ def load_checks(e: Evidence) -> Iterator[Check]:
 
 
 def _one_sided(e: Evidence, mats: Sequence[MatForce], file: Path) -> Check:
-    """Whether a cuff's mats lie on both sides of what it presses on."""
+    """Whether a cuff has mats both in front of and behind its segment."""
     faces = np.array([m.report["forward_share"] for m in mats])
     share = abs(faces.sum()) / max(np.abs(faces).sum(), _FACES)
     side = "behind" if faces.sum() > 0.0 else "the front"
@@ -1039,8 +1039,8 @@ def _one_sided(e: Evidence, mats: Sequence[MatForce], file: Path) -> Check:
 
 
 def _offsets(e: Evidence) -> np.ndarray:
-    """What the device reads more than the person in the recording's most
-    upright posture (device's,) [deg]; a used part may end before that.
+    """Offsets (joints,) of the encoders from the person's angles [deg], in the
+    most upright posture of the recording: the used part may end before it.
     """
     angles, motion = e.recording.angles, e.recording.motion
     both = between(motion.time, angles.time[0], angles.time[-1])
@@ -1053,7 +1053,7 @@ def _offsets(e: Evidence) -> np.ndarray:
 
 
 def _most_upright(human: np.ndarray) -> np.ndarray:
-    """Frames around that in which joints are bent least (n,) bool."""
+    """Frames (n,) bool around the one whose joints are bent least."""
     at = int(np.argmin(np.abs(human).sum(axis=1)))
     reach = max(2, round(0.5 * _UPRIGHT_SHARE * len(human)))
     return np.abs(np.arange(len(human)) - at) <= reach
@@ -1085,7 +1085,7 @@ def _follows(e: Evidence, name: str, h, d) -> Iterator[Check]:
 
 
 def _frozen(e: Evidence, i: int) -> Check:
-    """Whether an encoder stands still while the person moves."""
+    """Whether an encoder is frozen while the person's joint moves."""
     angles, motion = e.recording.angles, e.recording.motion
     human = e.expected(motion.q)[:, i]
     human = np.rad2deg(np.interp(angles.time, motion.time, human))
@@ -1105,12 +1105,12 @@ def _frozen(e: Evidence, i: int) -> Check:
 
 
 def _exchanged(e: Evidence, human, device, moving) -> Iterator[Check]:
-    """Whether two encoders' movements fit better the other way round."""
+    """Whether two encoders fit better with their columns exchanged."""
     names = e.trial.coordinates.device
-    # An offset is no exchange: that is for `encoder_offset` to tell.
+    # Means are removed: an offset is for `encoder_offset` to find.
     human = human - human.mean(axis=0)
     device = device - device.mean(axis=0)
-    # Nor is a flipped sign, which `encoder_sign` tells.
+    # A flipped sign is no exchange either; `encoder_sign` finds it.
     alike = np.where(np.sum(device * human, axis=0) < 0.0, -device, device)
     for a, b in combinations(moving, 2):
         expected = human[:, [a, b]]
@@ -1127,14 +1127,14 @@ def _exchanged(e: Evidence, human, device, moving) -> Iterator[Check]:
 def misfit(
     e: Evidence, encoders: Evidence, reach_s: float
 ) -> tuple[float, float]:
-    """Share of a person's speed that some encoders do not follow.
+    """Relative misfit of encoder speeds to a person's joint speeds.
 
-    Of all joints that move far; at the best lag of the clocks within
-    `reach_s`. Infinite where the encoders do not cover the movement, or
-    nothing moves far.
+    Of `e`'s joints that move by 30° against the files of `encoders`, at the
+    best lag of the clock within `reach_s`.
 
     Returns:
-        The share, and that lag [s].
+        The misfit and that lag [s]; infinite if the encoders do not cover the
+        movement, or no joint moves by 30°.
     """
     moving = np.ptp(np.rad2deg(e.expected(e.body[0])), axis=0) > _FAR_DEG
     if not moving.any():
@@ -1154,9 +1154,9 @@ def misfit(
 
 
 def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
-    """Whether encoders belong to the trial that names them."""
+    """Checks whether encoders belong to the trial that names them."""
     known = [e for e in evidence if e.recording.angles is not None]
-    # Of each movement with each file.
+    # Misfit of each movement (rows) with each file (columns).
     fits = np.array([[misfit(e, o, _REACH_S)[0] for o in known] for e in known])
     hidden = _hidden(fits)
     for i, e in enumerate(known):
@@ -1190,24 +1190,24 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
 
 LARGEST_COMMON_LAG_MS = 12.0  # of all trials together
 _COMMON_S, _COMMON_BETTER = 0.045, 1.15
-_BETTER = 1.7  # misfit over that at another lag, for a clock to be off
-_FITS = 0.01  # of body weight: no file fits better than well
+_BETTER = 1.7  # least ratio of misfits by which another lag must be better
+_FITS = 0.01  # of body weight: smaller misfits count as this much
 _LAGS_S = np.linspace(-0.2, 0.2, 41)
-_NOW = len(_LAGS_S) // 2  # no lag
-_RECORDED = 0.9  # of the used part
+_NOW = len(_LAGS_S) // 2  # index of no lag
+_RECORDED = 0.9  # least share of the used part that plates must cover
 
 
 def force_misfit(e: Evidence, other: Evidence, lag_s: float = 0.0) -> float:
-    """RMS of the vertical force that plates miss, about its mean [N].
+    """Standard deviation of measured less required vertical force [N].
 
     Args:
-        e: whose motion asks for it, in the used part.
-        other: whose plates are read.
+        e: whose motion requires the force, in the used part.
+        other: whose plates measure it.
         lag_s: of the plates' clock.
 
     Returns:
-        Infinite where the plates did not record so long: what an own clock's
-        lag of milliseconds leaves out at an end does not count.
+        Infinite if the plates cover less than 90 % of the used part (a
+        clock's lag costs milliseconds at an end).
     """
     forces = other.recording.forces
     time = e.recording.motion.time[e.inside] + lag_s
@@ -1227,9 +1227,9 @@ def force_misfit(e: Evidence, other: Evidence, lag_s: float = 0.0) -> float:
 def _best_lag(
     missed: np.ndarray, least: float, reach_s: float = np.inf
 ) -> tuple[float, float]:
-    """Where a misfit over `_LAGS_S` is least [ms], and how much better that is.
+    """Lag of the least misfit [ms], and the ratio by which it is better.
 
-    No lag beyond a reach, or where the misfit is not so much better.
+    The lag is 0 if the ratio is below `least` or the lag beyond `reach_s`.
     """
     best = int(np.argmin(missed))
     lag, better = float(_LAGS_S[best]), _ratio(missed[_NOW], missed[best])
@@ -1238,14 +1238,14 @@ def _best_lag(
 
 
 def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
-    """Whether plates keep the markers' time, and are of the trial itself."""
+    """Checks of the plates' clock, and whether forces are of this trial."""
     if not evidence:
         return
     missed = np.array(
         [[force_misfit(e, e, lag) for lag in _LAGS_S] for e in evidence]
     )
     if len(evidence) > 1:
-        # Of all together: skin moves the clock of each another way.
+        # Of all trials together: skin motion shifts each one differently.
         together = np.linalg.norm(missed, axis=0)
         lag, better = _best_lag(together, _COMMON_BETTER, _COMMON_S)
         yield evidence[0].check(
@@ -1258,7 +1258,7 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
             limit=LARGEST_COMMON_LAG_MS,
             level="note",
         )
-    # Of each movement with each file.
+    # Misfit of each movement (rows) with each file (columns).
     fits = np.array([[force_misfit(e, o) for o in evidence] for e in evidence])
     for i, e in enumerate(evidence):
         lag, better = _best_lag(missed[i], _BETTER)
@@ -1277,7 +1277,7 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
         if not others:
             continue
         best = min(others, key=lambda j, i=i: fits[i, j])
-        # Nearly equal movements: the body's inertias alone prefer either.
+        # Of nearly equal movements, errors of the inertias would prefer one.
         ratio = _ratio(fits[i, i], max(fits[i, best], _FITS * e.weight))
         yield e.check(
             "force_file",
@@ -1296,17 +1296,17 @@ def _swap(
     others: Sequence[int],
     level: Level,
 ) -> Check:
-    """Whether a trial and another fit better with each other's files.
+    """Check whether two trials fit better with their files exchanged.
 
-    What cuffs or inertias make of all movements alike is in both and cancels.
+    Errors that cuffs or inertias cause in all movements alike cancel.
 
     Args:
         name: of the check.
         evidence: of k trials.
         fits: (k, k) misfit of each movement with each file, or of each file
             with each movement.
-        i: the trial.
-        others: with other files.
+        i: index of the trial.
+        others: indices of trials with other files.
         level: of the check.
     """
     swapped = {
@@ -1327,11 +1327,11 @@ def _swap(
 
 
 def _hidden(fits: np.ndarray) -> float:
-    """Share of the speed that this wearer's cuffs hide from half of the files.
+    """Misfit that compliant cuffs cause: the lower median of the best misfits.
 
-    Of each with the movement that it fits best, whichever it is. What fits
-    better still does so by chance: a device may move more like the person in
-    another trial than like the one it leans on.
+    Each file's best misfit, with whichever movement, is taken. A file that
+    fits better than this does so by chance: the device may happen to move more
+    like the person in another trial than like its wearer.
 
     Args:
         fits: (k, k) misfit of each movement with each file.
@@ -1344,32 +1344,33 @@ def _hidden(fits: np.ndarray) -> float:
 
 
 def _ratio(own: float, other: float) -> float:
-    """How much better another file fits; 0 where nothing can be said."""
+    """Ratio of the own misfit to another; 0 if the own is not finite."""
     return float(own / max(other, 1e-9)) if np.isfinite(own) else 0.0
 
 
 _LAG_REACH_S = 0.06
 _DEG = np.pi / 180.0
-# Standard deviations of what the difference of angles depends on.
+# Prior standard deviations of the causes of angle differences between device
+# and person. _SKIN and _BEND are linear and quadratic in the person's angle.
 _OFFSET, _SKIN, _BEND = 2.0 * _DEG, 0.03, 0.015  # rad, rad/rad, rad/rad^2
-_WEIGHT = 2.0 * _DEG  # by a segment of the device that lies instead of stands
-_INERTIA = 0.05 * _DEG  # for each rad/s^2
+_WEIGHT = 2.0 * _DEG  # of a device's link that lies instead of standing
+_INERTIA = 0.05 * _DEG  # per rad/s^2
 _FRICTION = 1.0 * _DEG
-_DRIVE = 0.2 * _DEG  # for each N m
+_DRIVE = 0.2 * _DEG  # per N m
 _CLOCK_S = 0.03
-_REST_RAD_S = 0.05  # slower, friction has no direction yet
+_REST_RAD_S = 0.05  # joint speed over which friction's sign is smoothed
 _NOISE, _CORRELATED_S = 0.5 * _DEG, 0.1
 
 
 @dataclass(frozen=True)
 class _Difference:
-    """Angles of the device less the person's in one trial, standardised.
+    """Angles of the device less the person's in one trial, over their noise.
 
     Attributes:
-        by: (n J, sizes) what sizes of standard deviation 1 make of it.
-        by_clock: (n J,) likewise the clock of the trial.
-        found: (n J,) over its noise.
-        count: of independent samples.
+        by: (n J, causes) effect of each cause at one standard deviation.
+        by_clock: (n J,) effect of the trial's clock, likewise.
+        found: (n J,) differences, n samples of J joints.
+        count: number of independent samples.
     """
 
     by: np.ndarray
@@ -1379,7 +1380,7 @@ class _Difference:
 
     @staticmethod
     def of(e: Evidence, lag_s: float) -> "_Difference":
-        """With the lag of its clock taken out but for a rest."""
+        """Difference in a trial, its clock shifted by an estimated lag [s]."""
         trial, tree = e.trial, e.subject.model.tree
         time, angles = trial.start_s + trial.times, e.recording.angles
         signal = angles.delayed(lag_s)
@@ -1413,36 +1414,36 @@ class _Difference:
 
 
 def _cost(*differences: _Difference) -> float:
-    """Least squares with priors, of trials that share all but their clocks."""
+    """Least-squares cost with priors; trials share all causes but clocks."""
     clocks = [
         np.where(np.arange(len(differences)) == k, d.by_clock[:, None], 0.0)
         for k, d in enumerate(differences)
     ]
     by = np.hstack([np.vstack([d.by for d in differences]), np.vstack(clocks)])
     found = np.concatenate([d.found for d in differences])
-    # Of y = A x + e, x and e of unit variance: y' (I + A A')^-1 y.
+    # For y = A x + e with unit variances of x and e: y' (I + A A')^-1 y.
     normal = np.eye(by.shape[1]) + by.T @ by
     explained = by.T @ found
     return float(found @ found - explained @ np.linalg.solve(normal, explained))
 
 
 def _alike(e: Evidence, other: Evidence) -> bool:
-    """Whether two trials can be compared: movements of their own, both with
-    recorded moments or both without; a drive bends cuffs far more.
+    """Whether two trials can be compared: of two movements, both with or both
+    without recorded moments, since drives deform cuffs far more.
     """
     driven = [x.recording.moments is not None for x in (e, other)]
     return e.files.markers != other.files.markers and driven[0] == driven[1]
 
 
 def disagreement(evidence: Sequence[Evidence]) -> np.ndarray:
-    """How much worse two trials are explained together than each alone.
+    """How much worse one wearer explains two trials together than apart.
 
     Args:
-        evidence: (k,) of trials with encoders.
+        evidence: of k trials with encoders.
 
     Returns:
-        (k, k) cost for each independent sample; NaN where nothing can be
-        said, as of a trial with itself.
+        (k, k) added cost per independent sample; NaN on the diagonal and for
+        pairs that cannot be compared.
     """
     fits = [misfit(e, e, _LAG_REACH_S) for e in evidence]
     known = {
@@ -1461,7 +1462,7 @@ def disagreement(evidence: Sequence[Evidence]) -> np.ndarray:
 
 
 def wearer_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
-    """Of each trial with encoders, against the one that is most like it."""
+    """Checks for encoders that fit the wearer in no other trial."""
     known = [e for e in evidence if e.recording.angles is not None]
     for e, row in zip(known, disagreement(known), strict=True):
         if np.isnan(row).all():
@@ -1498,16 +1499,16 @@ def worn_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
 def plausibility(
     subject: SubjectModel, standing: Standing, evidence: Sequence[Evidence]
 ) -> tuple[Check, ...]:
-    """Judge whether recordings can be what the study takes them for.
+    """Make all plausibility checks of a study's recordings.
 
     Args:
-        subject: fitted to standing.
-        standing: names its files.
+        subject: the subject's model, fitted to standing.
+        standing: settings of the standing trial, which name its files.
         evidence: of each trial.
 
     Returns:
-        Checks by the name of "plausibility." and what was looked at, each
-        with the file and the likely cause where it does not hold.
+        Checks named "plausibility." and a key of `LIMITS`, each with the file
+        and the likely cause where it does not hold.
     """
     checks = [*standing_checks(subject, standing)]
     for e in evidence:
@@ -1519,12 +1520,12 @@ def plausibility(
 
 
 def refuse(checks: Iterable[Check], accepted: Iterable[str], study: str | Path):
-    """End where a check fails that nobody accepted.
+    """Refuse recordings if a check fails that the user has not accepted.
 
     Args:
-        checks: of `plausibility`.
-        accepted: names, or beginnings of them.
-        study: for the message.
+        checks: those of `plausibility`.
+        accepted: names of checks, or their dotted beginnings.
+        study: name of the study, for the message.
 
     Raises:
         InputError: naming the checks, their likely causes and --accept.
