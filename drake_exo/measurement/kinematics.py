@@ -271,7 +271,7 @@ def _mean_point(data: MarkerData, names, axes: Axes) -> complex:
 
 
 def _skeleton(segments, centres, hip, source):
-    """w (S,) of the segments in standing, and side -> joint -> C (S,) [m]."""
+    """Standing w (S,) of the segments, and side -> joint -> C (S,) [m]."""
     w = np.ones(len(segments), complex)
     joints = {}
     for side, c in centres.items():

@@ -1,4 +1,4 @@
-"""From a study's files to its trials."""
+"""Process recordings (read, synchronise, filter) and cut trials out of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -70,19 +70,19 @@ from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.assembly import SIDES
 from drake_exo.model.plant import Model
 
-# Told, if not refused: heels that strike change by 2 m/s between two frames.
+# Leaps from here on are noted; a heel strike changes a velocity by 2 m/s.
 LEAST_LEAP_M_S = 4.0
-# Of the search for the plates' clock, which knows milliseconds.
+# Most passes of the search for the plates' lag, and the change that ends it.
 _CLOCK_PASSES, _SETTLED_S = 5, 1.5e-3
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Lag of a system's clock behind the markers'.
+    """Lag of an instrument's clock behind the markers'.
 
     Attributes:
-        lag_s: that was taken out.
-        said: what its estimate is worth, in words; None if not estimated.
+        lag_s: lag that was removed [s].
+        said: words on its estimate, for the report; None if not estimated.
     """
 
     lag_s: float
@@ -91,24 +91,24 @@ class Clock:
 
 @dataclass(frozen=True)
 class Motion:
-    """Markers, made coordinates of the model without a device.
+    """Motion of the body without a device, by inverse kinematics.
 
     Attributes:
         time: (N,) [s].
-        q, v, a: (N, .) filtered motion.
+        q, v, a: (N, nq) filtered coordinates and time derivatives [m, rad].
         ankles: side -> (N, 2) filtered ankle centres [m].
-        hip_z: (N,) height of the middle of the hips [m].
+        hip_z: (N,) filtered height of the mid-point of the hips [m].
         residuals_m: marker -> (N,) distance from the model, NaN where hidden.
         gaps: of the markers.
-        known: (N,) whether the markers that are seen hold every segment.
-        legs: side -> (N, 3) ankle, knee, hip of that leg [rad].
+        known: (N,) bool, whether visible markers determine every segment.
+        legs: side -> (N, 3) filtered ankle, knee, hip of that leg [rad].
         feet: side -> (N, k, 3) markers of the foot: forward, left, up [m].
-        without: markers that are hidden for too long, and left out.
-        absent: markers of an OpenSim model that the file does not have.
-        applied: segment -> wrench (N,) of what it carries.
-        load_gaps: of the markers on each load of the trial.
+        without: markers left out because they are hidden for too long.
+        absent: markers of an OpenSim model that the file lacks.
+        applied: segment -> wrench (N,) of the loads on it.
+        load_gaps: gaps of the markers on each load of the trial.
         leaps: of the markers, see `filters.leaps` [m/s].
-        standstills: see `filters.standstills` [m].
+        standstills: of the markers, see `filters.standstills` [m].
     """
 
     time: np.ndarray
@@ -130,7 +130,7 @@ class Motion:
     standstills: tuple[MarkerFault, ...] = ()
 
     def cut(self, rows: slice) -> "Motion":
-        """Some of its samples; what is told of the markers stays."""
+        """The motion in some samples; gaps and marker faults stay whole."""
         one = ("time", "q", "v", "a", "hip_z", "known")
         several = ("ankles", "residuals_m", "legs", "feet")
         return replace(
@@ -146,21 +146,21 @@ class Motion:
 
 @dataclass(frozen=True)
 class Recording:
-    """A whole recording, processed: what trials are cut from.
+    """A whole processed recording, from which trials are cut.
 
     Attributes:
         motion: of the body.
-        forces: filtered plates on the markers' clock.
+        forces: filtered forces of the plates on the markers' clock.
         feet: foot -> wrench (N,) at the markers' times.
-        chair: wrench (N,) of the chair until seat-off, None where no plate
-            is under it.
-        rises: sit-to-stand rises found in it.
-        contacts: side -> when that foot stood on plates of its own.
-        angles: encoders, None for none.
-        moments: recorded exoskeleton moments, None for none.
+        chair: wrench (N,) of the chair until seat-off; None without a plate
+            under it.
+        rises: sit-to-stand rises found.
+        contacts: side -> periods in which that foot stood on its own plates.
+        angles: of the encoders, None without a file.
+        moments: recorded exoskeleton moments, None without a file.
         mats: force of each mat.
-        clocks: "forces", "encoders", "pressure", as far as there are such.
-        belt_speed_m_s: of the treadmill that the study says it was made on.
+        clocks: of "forces", "encoders" and "pressure", where recorded.
+        belt_speed_m_s: speed of the treadmill's belt, by the study.
     """
 
     motion: Motion
@@ -177,12 +177,12 @@ class Recording:
 
 
 class Recordings:
-    """Processed recordings of a study, each made once, and their trials.
+    """A study's recordings, each processed once, and the trials cut from them.
 
     Args:
         settings: of the study.
-        root: folder that its paths start from.
-        subject: fitted to the standing trial.
+        root: folder that the study's paths start from.
+        subject: the subject's model, fitted to the standing trial.
     """
 
     def __init__(
@@ -192,7 +192,7 @@ class Recordings:
         self._found: dict[Any, Recording] = {}
 
     def of(self, files: TrialFiles, without: tuple[str, ...] = ()) -> Recording:
-        """The recording that a trial is cut from; raises as `process`."""
+        """A trial's whole recording; raises as `process`."""
         key = _recording(files), without
         if key not in self._found:
             self._found[key] = process(
@@ -201,13 +201,13 @@ class Recordings:
         return self._found[key]
 
     def used(self, files: TrialFiles) -> Recording:
-        """Likewise, without markers hidden for too long in the used part."""
+        """As `of`, without markers hidden for too long in the used part."""
         return self.of(
             files, tuple(sorted({g.marker for g in self._long(files)}))
         )
 
     def problem(self, files: TrialFiles) -> str | None:
-        """What is hidden for too long where too few other markers are left."""
+        """Message if hidden markers leave a segment undetermined, or None."""
         long = self._long(files)
         motion = self.of(files).motion
         gone = [*(gap.marker for gap in long), *motion.absent]
@@ -221,14 +221,14 @@ class Recordings:
         )
 
     def trials(self, files: Sequence[TrialFiles]) -> tuple[Trial, ...]:
-        """Read and process files, and cut out their trials.
+        """Read and process recordings, and cut their trials out.
 
         Trials from the same recording share its inverse kinematics. Markers
-        that are hidden for too long in the used part are left out where enough
-        others of their segment remain.
+        hidden for too long in the used part are left out if enough others of
+        their segment remain.
 
         Raises:
-            InputError: a file or the study is not as it should be.
+            InputError: a file is unreadable or does not fit the study.
         """
         problems = [p for p in map(self.problem, files) if p is not None]
         if problems:
@@ -247,7 +247,7 @@ class Recordings:
 
 
 def _recording(files: TrialFiles) -> TrialFiles:
-    """What trials of one recording have in common."""
+    """Settings of the recording alone: equal for all trials cut from it."""
     return replace(
         files,
         name="",
@@ -272,10 +272,10 @@ def process(
 
     Args:
         files: of a trial.
-        subject: fitted to the standing trial.
+        subject: the subject's model, fitted to the standing trial.
         settings: of the study.
-        root: folder that its paths start from.
-        without: markers to leave out.
+        root: folder that the study's paths start from.
+        without: names of markers to leave out.
 
     Raises:
         InputError: as `Recordings.trials`.
@@ -325,7 +325,7 @@ def process(
             sum(wrench.force_z for wrench in found.values()),
         )
         force_clock = Clock(force_clock.lag_s + late, _said(late, laboratory))
-        # They begin and end elsewhere now.
+        # With the new lag, forces and markers overlap elsewhere.
         on_time = forces.delayed(force_clock.lag_s)
         frames = replace(markers, time=time)
         time = common_time(frames, on_time, low_pass_filter)
@@ -338,7 +338,7 @@ def process(
         for side, wrench in forces.wrenches.items()
         if side in SIDES
     }
-    # Before the filter: a foot that stands has a steady centre of pressure.
+    # Before the filter: on the belt, a standing foot's CoP is steady.
     forces = forces.on_belt(settings.ground.belt_speed_m_s)
     forces = forces.held(laboratory.hold_cop_below_n).filtered(low_pass_filter)
     feet = forces.at(time)
@@ -373,7 +373,7 @@ def process(
 
 
 def _absent(model: MarkerModel, recorded: MarkerData) -> tuple[str, ...]:
-    """Markers of an OpenSim model that a file does without."""
+    """Markers of an OpenSim model that a file lacks."""
     absent = tuple(n for n in model.names if n not in recorded.names)
     loose = model.without(absent).loose()
     if loose is not None:
@@ -386,11 +386,11 @@ def _absent(model: MarkerModel, recorded: MarkerData) -> tuple[str, ...]:
 
 
 def _on_belt(markers: MarkerData, settings: RecordingSettings) -> MarkerData:
-    """Markers in axes that move with a treadmill's belt."""
+    """Markers in axes that move with the treadmill's belt."""
     ahead = settings.ground.belt_speed_m_s * markers.time
     forward = settings.laboratory.marker_axes.R_PL[0]
     moved = markers.positions + ahead[:, None, None] * forward
-    # Zeros of hidden markers stay, to be refused.
+    # Hidden markers exported as zeros stay zero, so that they are refused.
     moved[(markers.positions == 0.0).all(axis=2)] = 0.0
     return replace(markers, positions=moved)
 
@@ -402,7 +402,7 @@ def _follow(
     subject: SubjectModel,
     settings: RecordingSettings,
 ) -> Motion:
-    """Inverse kinematics of the frames at `time`, filtered."""
+    """Filtered motion by inverse kinematics of the frames at `time` (N,)."""
     axes = settings.laboratory.marker_axes
     model = subject.markers
     first = np.searchsorted(markers.time, time[0] - 1e-9)
@@ -438,7 +438,7 @@ def _follow(
 
 
 def needed_force(rigid: Model, motion: Motion) -> np.ndarray:
-    """Vertical force (N,) that somebody must bear by Newton's law [N]."""
+    """Vertical support force (N,) that the motion requires [N]."""
     Q = inverse_dynamics(
         rigid.tree, motion.q, motion.v, motion.a, motion.applied
     )
@@ -446,12 +446,12 @@ def needed_force(rigid: Model, motion: Motion) -> np.ndarray:
 
 
 def _rises(motion, feet, chair, forces, rigid: Model) -> list[Rise]:
-    """Rises, by the chair's plate or else by what the feet leave over."""
+    """Rises; without a chair's plate its force is what the feet do not bear."""
     F_z = forces.total(feet)
     on_chair = (
         needed_force(rigid, motion) - F_z if chair is None else chair.force_z
     )
-    # What is carried bears on the feet, too.
+    # Loads rest on the feet, too; `own` is the body's part.
     own = F_z + sum(w.force_z for w in motion.applied.values())
     weight = rigid.tree.weight
     return find_rises(motion.time, motion.hip_z, on_chair, own, weight)
@@ -460,16 +460,16 @@ def _rises(motion, feet, chair, forces, rigid: Model) -> list[Rise]:
 def _force_delay(
     motion, forces: FootForces, rigid: Model, laboratory, pulled=0.0
 ) -> float:
-    """Lag of the forces, from the rises (or from all loaded frames).
+    """Lag of the forces [s], by the rises (or else all loaded frames).
 
-    `pulled` (N,) is the vertical force of loads that have their clock.
+    `pulled` (N,): vertical force of loads in files, which have their clock.
     """
     time = motion.time
     feet = forces.at(time)
     chair = feet.pop("chair", None)
     needed, F_z = needed_force(rigid, motion), forces.total(feet)
     reach = laboratory.largest_delay_s
-    if chair is not None:  # together they bear the body all the time
+    if chair is not None:  # feet and chair always bear the whole body
         total = F_z + chair.force_z
         return force_delay(
             time, needed + pulled, total + pulled, motion.known, reach
@@ -485,7 +485,7 @@ def _force_delay(
 
 
 def _borne_by_feet(motion, forces: FootForces, rigid: Model) -> np.ndarray:
-    """When they bear the body (N,): in rises, without such while loaded."""
+    """Frames (N,) bool with no chair: rises, or else those under load."""
     time, feet = motion.time, forces.at(motion.time)
     F_z = forces.total(feet)
     rises = _rises(motion, feet, None, forces, rigid)
@@ -504,7 +504,7 @@ def _borne_by_feet(motion, forces: FootForces, rigid: Model) -> np.ndarray:
 
 
 def _said(late: float, laboratory) -> str:
-    """What an estimated delay is worth, in words."""
+    """Words on an estimated lag; warns if it is at the search's edge."""
     text = f"estimated {1e3 * late:+.0f} ms"
     if abs(late) > laboratory.largest_delay_s - 1.5e-3:
         text += "; at the edge of the search, raise laboratory.largest_delay_s"
@@ -512,7 +512,7 @@ def _said(late: float, laboratory) -> str:
 
 
 def _device(files, model: Model, settings, root):
-    """Encoders and recorded moments, on the markers' clock, and theirs."""
+    """Encoder angles and recorded moments on the markers' clock; the clock."""
     laboratory, device = settings.laboratory, settings.device or Device()
     joints = model.coordinates.device
     moments = angles = clock = None
@@ -533,7 +533,7 @@ def _device(files, model: Model, settings, root):
 
 
 def _to_find(lag: float, is_unknown: bool) -> Clock:
-    """Clock of a device's instruments, which a calibration finds."""
+    """Clock of encoders or mats, whose remaining lag a calibration finds."""
     return Clock(lag, "left to the calibration, unsure" if is_unknown else None)
 
 
@@ -546,9 +546,9 @@ def cut(
     """Cut one trial out of a processed recording.
 
     Raises:
-        InputError: no such rise, a part outside the recording or too short
-            for the filter, encoders, moments or mats that do not cover it, or
-            a load whose markers are hidden in it.
+        InputError: no such rise or event, a part outside the recording or too
+            short for the filter, encoders, moments or mats that do not cover
+            it, or a load whose markers are hidden in it.
     """
     motion = recording.motion
     start, end, how = _bounds(files, recording)
@@ -569,7 +569,7 @@ def cut(
             f"period of what the filter leaves ({settings.filter.cutoff_hz:g} "
             "Hz); give a longer part by start_s and end_s"
         )
-    # Where a belt has come to in minutes, numbers have lost their digits.
+    # Start at the origin: a belt runs so far in minutes that digits get lost.
     ahead = recording.belt_speed_m_s * float(motion.time[inside][0])
 
     def here(wrench: PlanarWrench) -> PlanarWrench:
@@ -633,7 +633,7 @@ def cut(
 
 
 def _said_of(load: Load) -> str:
-    """A load in words."""
+    """A load in words, for the report."""
     if load.forces is not None:
         return f"force of {load.forces.as_posix()} on the {load.body}"
     since = "" if load.from_s is None else f" from {load.from_s:g} s"
@@ -663,7 +663,7 @@ def _provenance(
     subject: SubjectModel,
     settings: RecordingSettings,
 ) -> dict[str, Any]:
-    """Which files, which filter, what was done to the whole recording."""
+    """Provenance of a recording: files, filter, and processing."""
     clocks = recording.clocks
     return {
         "markers": files.markers.as_posix(),
@@ -685,7 +685,7 @@ def _provenance(
 
 
 def _bounds(files: TrialFiles, recording: Recording):
-    """Start and end of a trial, and how they came about."""
+    """Start and end of a trial [s], and their origin for the provenance."""
     time = recording.motion.time
     start, end = float(time[0]), float(time[-1])
     how: dict[str, Any] = {"from": "whole recording"}
@@ -735,7 +735,7 @@ def _bounds(files: TrialFiles, recording: Recording):
 
 
 def _event(files: TrialFiles, recording: Recording, key: str, name: str):
-    """When an event is [s], and how that is told."""
+    """Time of an event [s], and its entry in the provenance."""
     try:
         time = FootEvent.of(name).time_s(recording.contacts)
     except InputError as error:
@@ -746,7 +746,7 @@ def _event(files: TrialFiles, recording: Recording, key: str, name: str):
 
 
 def _coordinates(files, recording: Recording, inside, model: Model):
-    """q, v, a (n, nq) of the model, and whose the device's angles are."""
+    """Coordinates q, v, a (n, nq), and the origin of the device's angles."""
     motion = recording.motion
     body = [x[inside] for x in (motion.q, motion.v, motion.a)]
     if not model.coordinates.device:
@@ -763,10 +763,10 @@ def _coordinates(files, recording: Recording, inside, model: Model):
 
 
 def _moments(recording, model: Model, settings, trial: Trial, time):
-    """Joint moments (n, n_joints), their friction, and where they come from.
+    """Joint moments (n, n_joints), friction (n, joints), and their origin.
 
-    The resultant is that of the rigid model, from the ground up; the human's
-    is what the exoskeleton's leaves of it.
+    The resultant is that of body and device moving as one, from the ground up.
+    The human's moments are the resultant less the exoskeleton's.
     """
     names, tree = model.coordinates, model.rigid.tree
     body = [x[:, names.body_columns] for x in (trial.q, trial.v, trial.a)]
@@ -802,7 +802,7 @@ def _moments(recording, model: Model, settings, trial: Trial, time):
 
 
 def _cuff_forces(recording: Recording, time):
-    """Normal force by cuff, both legs, and what was doubled."""
+    """Cuff -> normal force at `time`, and the reports of its mats."""
     total: dict[str, np.ndarray] = {}
     notes: dict[str, Any] = {}
     for mat in recording.mats:

@@ -1,4 +1,4 @@
-"""How good a study's recordings are, without solving anything."""
+"""Quality report of a study's recordings, without solving anything."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,10 +11,10 @@ from drake_exo.measurement.plausibility import LIMITS
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import Trial
 
-# Beyond these a line of the report is marked; what refuses is `plausibility`.
+# Beyond these a line of the report is marked; only `plausibility` refuses.
 LARGEST_MARKER_RMS_M = 0.02
 LARGEST_RESIDUAL_N = 0.05  # of body weight
-LARGEST_GAPS = 0.1
+LARGEST_GAPS = 0.1  # of the marker frames
 LARGEST_DELAY_S = 0.03
 
 
@@ -24,20 +24,20 @@ class TrialQuality:
 
     Attributes:
         name: of the trial.
-        start_s, end_s: used part.
+        start_s, end_s: start and end of the used part in the recording.
         marker_rms_m: marker -> RMS distance from the model.
-        worst_marker: with the largest of them.
-        marker_rms_all_m: over all markers.
-        gaps: share of marker frames of the used part that were filled.
-        filled_frames: how many of the used part, over all markers.
-        left_out: markers that are hidden for too long.
-        residual_n: RMS of F_x and F_z that Newton's law misses.
-        residual_nm: RMS of the pitch moment it misses about the ankle, of two
-            legs about the hips.
-        residual: (N, 3) the same over time.
-        delays_s: lag of each clock that was taken out.
-        notes: what was doubled, estimated, levelled.
-        warnings: what is beyond the limits above.
+        worst_marker: the marker with the largest RMS distance.
+        marker_rms_all_m: RMS of these values over all markers.
+        gaps: share of the used part's marker frames that were filled.
+        filled_frames: number of filled frames, sum over the markers.
+        left_out: markers left out because they are hidden for too long.
+        residual_n: RMS residuals of F_x and F_z in Newton's law.
+        residual_nm: RMS residual of the pitch moment about the ankle, with
+            two legs about the hips.
+        residual: (N, 3) these residuals over time [N, N, N m].
+        delays_s: instrument -> lag of its clock that was removed.
+        notes: sentences on what was doubled, estimated, levelled.
+        warnings: sentences on what is beyond the limits above.
     """
 
     name: str
@@ -67,11 +67,11 @@ class Quality:
 
     Attributes:
         standing_mass_kg: body mass by quiet standing, None without plates.
-        stated_mass_kg: by the study, None if it says nothing.
-        trials: in the study's order.
-        warnings: of the standing trial.
-        notes: what was made of an OpenSim model.
-        checks: of plausibility.
+        stated_mass_kg: body mass by study or OpenSim model, or None.
+        trials: quality of each trial, in the study's order.
+        warnings: sentences on the standing trial.
+        notes: sentences on how device and OpenSim model were read.
+        checks: plausibility checks.
     """
 
     standing_mass_kg: float | None
@@ -88,10 +88,10 @@ class Quality:
 
 
 def force_residual(subject: SubjectModel, trial: Trial) -> np.ndarray:
-    """What motion asks of the ground beyond what plates measured.
+    """Residual of Newton's and Euler's law: required less measured wrench.
 
     Returns:
-        (N, 3) F_x, F_z [N] and pitch moment [N m] about the ankle, of two
+        (N, 3) F_x, F_z [N] and pitch moment [N m] about the ankle, with two
         legs about the hips.
     """
     tree = subject.model.rigid.tree
@@ -106,12 +106,12 @@ def assess(
     trials: tuple[Trial, ...],
     checks: tuple[Check, ...] = (),
 ) -> Quality:
-    """Quality of loaded trials.
+    """Assess the quality of a study's standing trial and trials.
 
     Args:
-        subject: fitted to standing.
-        trials: cut from recordings.
-        checks: of their plausibility.
+        subject: the subject's model, fitted to standing.
+        trials: measured trials.
+        checks: their plausibility checks.
     """
     report = subject.report
     measured = report.get("standing_mass_kg")
@@ -135,7 +135,7 @@ def assess(
 
 
 def _model_notes(report: dict[str, Any]):
-    """What became of the subject's OpenSim model, line by line."""
+    """Lines on how the device and the OpenSim model were read."""
     yield from report.get("device_notes", ())
     said = report.get("osim")
     if said is None:
@@ -213,7 +213,7 @@ def _of_trial(subject: SubjectModel, trial: Trial) -> TrialQuality:
     )
 
 
-# What a plate's level and a mat's report say, in words.
+# Format of each entry in a plate's levels and in a mat's report.
 _LEVELS = {
     "empty_plate_n": "{:.1f} N while empty",
     "offset_n": "offset {:.1f} N",
@@ -232,7 +232,7 @@ _MATS = {
 
 
 def _notes(trial: Trial):
-    """What was done to a trial, line by line."""
+    """Lines on how a trial was processed."""
     said = trial.provenance
     for name, text in said["clocks"].items():
         yield f"clock of {name}: {text}"
@@ -252,7 +252,7 @@ def _notes(trial: Trial):
     yield f"joint moments: {moments}"
     names = trial.coordinates
     if names.device and trial.moments is not None:
-        # A wrong sign or unit shows here alone, see docs/plausibility.md.
+        # A wrong sign or unit shows only here, see docs/plausibility.md.
         own = trial.moments[:, names.is_device_joint]
         power = np.sum(own * trial.v[:, names.device_columns], axis=1)
         most = zip(names.device, np.abs(own).max(axis=0), strict=True)
