@@ -1,6 +1,6 @@
-"""Marker and force files on one time base, plates levelled.
+"""Read marker and force files: even times, plate offsets, lag of the plates.
 
-Nothing is filtered here but what judges whether a plate is loaded.
+The signals returned are unfiltered, unless `FootForces.filtered` is called.
 """
 
 from collections.abc import Iterable, Mapping
@@ -34,18 +34,18 @@ from drake_exo.measurement.settings import (
 from drake_exo.model.assembly import SIDES
 
 _BAND_N = 12.0  # unloaded samples scatter within this around their level
-_SMOOTH_S = 0.025
-_SHORTEST_S = 0.1  # unloaded for at least so long
-_EDGE_S = 0.1  # cut from either side of an unloaded part
-_STEP_S = 0.001  # of a search for a lag
-_TREND_SHARE = 0.5  # of the recording that unloaded parts must span
-# A level beyond this is a load, not drift. A chair may not have been tared.
+_SMOOTH_S = 0.025  # moving average before that
+_SHORTEST_S = 0.1  # shortest unloaded part
+_EDGE_S = 0.1  # cut from either end of an unloaded part
+_STEP_S = 0.001  # of the lags that are tried
+_TREND_SHARE = 0.5  # of the recording, which unloaded parts span if it drifts
+# A larger offset is a load. A chair's plate may not have been tared.
 LARGEST_FOOT_N = 20.0
 LARGEST_CHAIR_N = 200.0
 
 
 def unloaded(time: np.ndarray, F_z: np.ndarray, largest_n: float):
-    """Samples (N,) at which a plate bears nothing.
+    """Samples (N,) bool at which a plate bears nothing.
 
     The lowest steady level of the recording counts as unloaded if it is
     within `largest_n` of zero.
@@ -53,7 +53,7 @@ def unloaded(time: np.ndarray, F_z: np.ndarray, largest_n: float):
     Args:
         time: (N,) evenly spaced [s].
         F_z: (N,) vertical force [N], unfiltered.
-        largest_n: largest offset that may be drift.
+        largest_n: largest level that counts as offset, not as load [N].
     """
     step = time[1] - time[0]
     width = max(round(_SMOOTH_S / step), 1)
@@ -62,7 +62,7 @@ def unloaded(time: np.ndarray, F_z: np.ndarray, largest_n: float):
     smooth = smooth[width:-width]
     near = np.abs(smooth - np.quantile(smooth, 0.02)) < _BAND_N
     for start, end in runs(near):
-        # Its edges are still, or already, a load.
+        # At its ends the plate is still, or already, partly loaded.
         cut = round(_EDGE_S / step)
         long = end - start - 2 * cut >= _SHORTEST_S / step
         near[start : start + cut if long else end] = False
@@ -75,17 +75,17 @@ def unloaded(time: np.ndarray, F_z: np.ndarray, largest_n: float):
 def level(
     time: np.ndarray, wrench: np.ndarray, vertical: int, largest_n: float
 ) -> tuple[np.ndarray, dict]:
-    """Take offset, and a linear drift where it shows, out of a plate.
+    """Remove a plate's offset, and its linear drift if that is visible.
 
     Args:
         time: (N,) [s].
-        wrench: (N, k), unfiltered, as recorded.
+        wrench: (N, k) components, unfiltered.
         vertical: column of the vertical force [N].
-        largest_n: as for `unloaded`.
+        largest_n: as for `unloaded` [N].
 
     Returns:
-        The levelled wrench, and what was found: offset_n of F_z at the
-        start, drift_n_s, and unloaded_s, the time it was seen for.
+        The levelled wrench, and a report: of F_z offset_n at the start and
+        drift_n_s; unloaded_s, the total time without load.
     """
     empty = unloaded(time, wrench[:, vertical], largest_n)
     if not empty.any():
@@ -108,12 +108,12 @@ class FootForces:
 
     Attributes:
         time: (N,) evenly spaced [s].
-        wrenches: "left" and "right", or "both" for one plate under both feet;
-            "chair" of the plate under the chair, if there is one.
+        wrenches: of "left" and "right", or "both" for one plate under both
+            feet; of "chair" if a plate is under it.
         source: file name.
-        levels: plate ("left", ..., "chair") -> offset and drift taken out.
-        recorded: plate -> (N, 6) force [N] and moment about the origin [N m],
-            forward, left, up, neither levelled but by `without` nor filtered.
+        levels: "left", ..., "chair" -> offset and drift that were removed.
+        recorded: the same -> force [N], moment about the origin [N m] (N, 6):
+            forward, left, up, unfiltered, only empty plates subtracted.
     """
 
     time: np.ndarray
@@ -128,7 +128,7 @@ class FootForces:
         return (len(self.time) - 1) / (self.time[-1] - self.time[0])
 
     def filtered(self, settings: Filter) -> "FootForces":
-        """The same forces, low-passed."""
+        """The same forces, low-pass filtered."""
 
         def smooth(_, w):
             values = settings.smooth(w.array, self.rate_hz, self.source)
@@ -137,11 +137,11 @@ class FootForces:
         return self._by_plate(smooth)
 
     def delayed(self, delay_s: float) -> "FootForces":
-        """The same forces with a lag of their clock taken out."""
+        """The same forces with their clock's lag removed from the times."""
         return replace(self, time=self.time - delay_s)
 
     def on_belt(self, speed_m_s: float) -> "FootForces":
-        """The same forces in axes that move with a treadmill's belt."""
+        """The same forces in axes that move with the treadmill's belt."""
         ahead = speed_m_s * self.time
 
         def moved(w):
@@ -156,13 +156,13 @@ class FootForces:
         )
 
     def held(self, below_n: float) -> "FootForces":
-        """Centres of pressure held at small forces, see `PlanarWrench.held`."""
+        """Feet's CoP held at small forces, see `PlanarWrench.held`."""
         return self._by_plate(
             lambda name, w: w if name == "chair" else w.held(below_n)
         )
 
     def without(self, empty: "FootForces") -> "FootForces":
-        """The same forces less the mean of a recording of empty plates."""
+        """The same forces less the means of a recording of empty plates."""
         levels = {}
 
         def less(name, w):
@@ -179,10 +179,11 @@ class FootForces:
         return replace(found, levels=levels, recorded=recorded)
 
     def levelled(self, feet: bool) -> "FootForces":
-        """The same forces less offset and drift of unloaded samples.
+        """The same forces less each plate's offset and drift, see `level`.
 
         Args:
-            feet: whether of the feet's plates, too; a chair weighs something.
+            feet: whether to level the feet's plates, too. The chair's always
+                is, because the chair itself has weight.
         """
         levels = {}
 
@@ -198,18 +199,18 @@ class FootForces:
         return replace(found, levels=self.levels | levels)
 
     def _by_plate(self, function) -> "FootForces":
-        """Function of name and wrench, applied to every plate."""
+        """The same with every wrench replaced by function(name, wrench)."""
         return replace(
             self, wrenches={n: function(n, w) for n, w in self.wrenches.items()}
         )
 
     @property
     def feet(self) -> dict[str, PlanarWrench]:
-        """Without the chair's."""
+        """The wrenches without that of the chair."""
         return {n: w for n, w in self.wrenches.items() if n != "chair"}
 
     def at(self, time: np.ndarray) -> dict[str, PlanarWrench]:
-        """Wrenches at other times; the ends' values beyond the recording."""
+        """Wrenches at times (n,); beyond the recording those at its ends."""
         time = np.clip(time, self.time[0], self.time[-1])
         return {
             name: PlanarWrench.of(resample(self.time, w.array, time))
@@ -217,13 +218,13 @@ class FootForces:
         }
 
     def total(self, feet: dict[str, PlanarWrench]) -> np.ndarray:
-        """Vertical force (N,) of all feet, one alone counting twice [N]."""
+        """Sum of the feet's vertical forces (N,), doubled if only one [N]."""
         total = sum(w.force_z for w in feet.values())
         return 2.0 * total if self.is_one_leg else total
 
     @property
     def is_one_leg(self) -> bool:
-        """Whether only one foot stood on a plate."""
+        """Whether only one foot has a plate, which then counts for both."""
         return len(self.feet) == 1 and "both" not in self.wrenches
 
 
@@ -286,7 +287,7 @@ def read_foot_forces(
     settings: Filter,
     loaded: bool = True,
 ) -> FootForces:
-    """Read a force file and keep the plates under feet and chair.
+    """Read the plates under feet and chair from a force file, unfiltered.
 
     Files are .mot, .sto, .c3d and Motive's .csv.
 
@@ -294,13 +295,12 @@ def read_foot_forces(
         path: the file.
         plates: numbers of the plates.
         laboratory: axes and signs.
-        settings: filter that will be applied.
-        loaded: whether somebody stands on them.
+        settings: filter that will be applied later.
+        loaded: whether a person stands on the plates; then signs are checked.
 
     Raises:
         InputError: unreadable, of another kind, or uneven in time; no such
-            plate; too short or too slow for the filter; forces that pull the
-            body down.
+            plate; too short or too slow for the filter; downward forces.
     """
     time, recorded = _reader(path, _FORCE_READERS, "force")(path)
     time = uniform_time(str(path), time)
@@ -342,7 +342,7 @@ def _plate(path, recorded: Mapping[int, PlateRecording], number: int):
 
 
 def _check_direction(forces: FootForces) -> None:
-    """Forces must be those on the body: upwards when standing."""
+    """Refuse forces that point down: those on the body point up."""
     F_z = forces.total(forces.feet)
     if -F_z.min() > max(F_z.max(), 50.0):
         raise InputError(
@@ -358,7 +358,7 @@ def read_feet(
     settings: Filter,
     root: Path,
 ) -> FootForces:
-    """Forces of a trial's plates, levelled as the study says.
+    """Read the forces of a trial's plates and level them as the study says.
 
     Raises:
         InputError: as `read_foot_forces`.
@@ -380,10 +380,10 @@ def read_feet(
 
 
 def check_empty(source: object, wrenches: Iterable[np.ndarray]) -> None:
-    """Refuse empty plates (N, 6) that bear something.
+    """Refuse a recording of empty plates (N, 6) that are not empty.
 
     Raises:
-        InputError: they do.
+        InputError: together they bear more than 200 N on average.
     """
     borne = sum(float(w[:, 2].mean()) for w in wrenches)
     if abs(borne) > _LARGEST_EMPTY_N:
@@ -393,25 +393,25 @@ def check_empty(source: object, wrenches: Iterable[np.ndarray]) -> None:
         )
 
 
-# What amplifiers are off at most; more is somebody on them.
+# Largest offset of amplifiers; beyond it somebody stands on the plates.
 _LARGEST_EMPTY_N = 200.0
-# Of body weight; plates that bear less do not measure what they should.
+# Of body weight; if plates bear less, numbers or units are wrong.
 _LEAST_LOAD = 0.1
 
 
 def check_loaded(
     source: str, wrench: PlanarWrench, weight: float, where: str
 ) -> None:
-    """Refuse feet that bear next to nothing.
+    """Refuse feet that never bear 10 % of body weight.
 
     Args:
         source: file name.
         wrench: of both feet in the used part.
         weight: of the body [N].
-        where: that part, for the sentence.
+        where: name of that part, for the message.
 
     Raises:
-        InputError: with the likely cause.
+        InputError: they do not; with the likely cause.
     """
     most = float(wrench.force_z.max())
     if most > _LEAST_LOAD * weight:
@@ -433,22 +433,22 @@ def force_delay(
     used: np.ndarray,
     reach_s: float = 0.05,
 ) -> float:
-    """By how much the recorded force lags behind the motion [s].
+    """Estimate the lag of the recorded force behind the motion [s].
 
-    Systems that are started by hand, or filtered on their way, are
-    milliseconds apart; in a fast rise ten of them are tens of newtons.
+    Systems started by hand, or filtered on the way, are milliseconds apart; in
+    a fast rise 10 ms are tens of newtons.
 
     Args:
         time: (N,) evenly spaced [s].
         needed: (N,) m (a_com + g) of the filtered motion [N].
         force: (N,) filtered vertical force of feet and chair [N].
-        used: (N,) bool, where they alone bear the body.
+        used: (N,) bool, where feet and chair alone bear the body.
         reach_s: largest delay either way.
 
     Returns:
-        The delay, to 1 ms, at which the difference varies least: by its mean
-        distance from its median, since at either end of a walk another foot
-        bears weight beside the plates, and its square would decide.
+        The delay, to 1 ms, with the least mean absolute deviation of needed
+        less recorded force from its median. Squares would be dominated by the
+        ends of a walk, where the other foot bears weight beside the plates.
     """
     count = round(reach_s / _STEP_S)
     delays = _STEP_S * np.arange(-count, count + 1)
@@ -461,10 +461,10 @@ def force_delay(
 def common_time(
     markers: MarkerData, forces: FootForces, settings: Filter
 ) -> np.ndarray:
-    """Marker times at which forces were recorded too (N,).
+    """Marker times (N,) at which forces were recorded, too.
 
     Raises:
-        InputError: the files do not overlap, or for too short a time.
+        InputError: the files do not overlap, or too briefly for the filter.
     """
     inside = between(markers.time, forces.time[0], forces.time[-1])
     if not inside.any():

@@ -1,9 +1,8 @@
-"""What a study file says of the subject, the recordings and their instruments.
+"""Settings of a study file: subject, recordings and their instruments.
 
-Signals that only one leg was measured for are told by what is left out: a
-trial with a plate under the right foot alone counts as one leg, and is doubled.
-Paths stay as the file says them, so that nothing that is written later depends
-on the machine.
+That a signal is of one leg follows from what the study leaves out: a trial with
+a plate under the right foot alone is one leg's, and its force is doubled.
+Paths stay as written in the file, so that results do not depend on the machine.
 """
 
 from collections.abc import Sequence
@@ -34,7 +33,7 @@ Side = Literal["left", "right"]
 Use = Literal["calibration", "prediction"]
 Legs = Literal["left", "right", "both"]
 Point = tuple[float, float, float]
-# Files of `check` and of a batch, beside those that are called as trials.
+# Names of files that `check` and a batch write beside the trials' files.
 _TAKEN = ("quality", "summary", "task", "timing")
 
 
@@ -94,10 +93,11 @@ class Device:
     carries_itself: float = quantity(None, 0.0, minimum=0.0, maximum=1.0)
 
     def check(self, names: Coordinates) -> None:
-        """Refuse what no joint of the device has.
+        """Refuse values for joints that the device does not have.
 
         Raises:
-            InputError: a joint that it has not, or one beside none of its own.
+            InputError: an unknown joint of the device, or a joint of the
+                person beside which the device has none.
         """
         if not names.device:
             return
@@ -115,7 +115,7 @@ class Device:
                     )
 
     def of(self, joint: str, beside: str | None) -> JointDrive:
-        """Dynamics of a joint that sits beside one of the person's, if any."""
+        """Dynamics of a device's joint, beside this joint of the person."""
         usual = getattr(self, (beside or "").split("_")[0], JointDrive())
         return self.joints.get(joint, usual)
 
@@ -198,7 +198,7 @@ class PressureFile:
 
 
 def _once(names: Sequence, told: str) -> None:
-    """Refuse a name that is there again; `told` begins to say so of it."""
+    """Refuse repeated names; `told.format(name)` begins the message."""
     if isinstance(names, str):
         raise InputError(f"{names!r} is one name; give a list of them")
     for name in names:
@@ -277,7 +277,7 @@ class Laboratory:
     chair_on_thighs: float = quantity(None, 0.0, minimum=0.0, maximum=1.0)
 
     def on_body(self, plate: PlateRecording) -> np.ndarray:
-        """Wrench (N, 6) of a plate on the body, see `spatial_wrench`."""
+        """Wrench (N, 6) of a plate on the body, as `spatial_wrench`."""
         sign = -1.0 if self.forces_act_on == "plate" else 1.0
         return sign * spatial_wrench(plate, self.force_axes)
 
@@ -457,7 +457,7 @@ class Filter:
 
     @property
     def reach_s(self) -> float:
-        """How far a sample is felt in what the filter makes of others [s]."""
+        """Time over which a sample influences filtered values [s]."""
         return 1.0 / self.cutoff_hz
 
     def smooth(
@@ -543,7 +543,7 @@ class Load:
 
     @property
     def carried_s(self) -> tuple[float, float]:
-        """From when to when it is borne at all [s]."""
+        """Start of lifting off and end of putting down [s]; else infinite."""
         start = -np.inf if self.from_s is None else self.from_s
         end = np.inf if self.to_s is None else self.to_s + self.over_s
         return start, end
@@ -623,7 +623,7 @@ class TrialFiles:
 
 @dataclass(frozen=True)
 class RecordingSettings:
-    """All of a study but what is made of it.
+    """A study's subject, recordings and model, without what is computed.
 
     Attributes:
         markers: which markers are on which segment. If `model.human.osim` is
@@ -731,7 +731,7 @@ class RecordingSettings:
 
     @property
     def assembly(self) -> Assembly:
-        """What the model is put together of."""
+        """Description of the model: person, device, cuffs and ground."""
         if isinstance(self.model, Assembly):
             return self.model
         return ASSEMBLIES[self.model]

@@ -1,10 +1,10 @@
-"""A foot's step out of a recording: force, CoP, free moment, place and pose.
+"""Cut a foot's step out of a recording: force, CoP, free moment and pose.
 
-The foot's own frame lies on the ground: x from heel to toe while the foot is
-flat, y left, z up, its origin under the middle between the rearmost and the
-foremost marker of the foot. Where a belt moves under the foot the frame moves
-along. Forces are not filtered, but averaged over a frame of the markers: a low
-pass that is meant for dynamics would smear the heel strike.
+The step's frame lies on the ground: x from heel to toe while the foot is flat,
+y left, z up, origin below the mid-point of the rearmost and the foremost
+marker of the foot. On a treadmill the frame moves with the belt. Forces are
+not filtered but averaged over one frame of the markers, because a low-pass
+chosen for dynamics would smear the heel strike.
 """
 
 from dataclasses import dataclass
@@ -34,9 +34,9 @@ from drake_exo.measurement.settings import (
     TrialFiles,
 )
 
-_FLAT_SHARE = 0.2  # of a contact: frames in which the foot turns least
+_FLAT_SHARE = 0.2  # of a contact's frames counts as flat: slowest rotation
 _BELT_M_S = 0.2  # a flat foot that moves faster stands on a belt
-_SHORTEST_FOOT_M = 0.1  # between rearmost and foremost marker
+_SHORTEST_FOOT_M = 0.1  # least distance of rearmost and foremost marker
 
 Begin = Literal["heel_strike"] | float
 End = Literal["toe_off"] | float
@@ -44,19 +44,19 @@ End = Literal["toe_off"] | float
 
 @dataclass(frozen=True)
 class RecordedStep:
-    """One contact of a foot, seen from where the foot stood, N samples.
+    """One contact of a foot with N samples, in the step's frame.
 
     Attributes:
         name: file, foot and part, for messages.
-        times: of the markers' clock [s], (N,).
-        force: of the ground on the foot: forward, left, up [N], (N, 3).
-        cop: centre of pressure on the plate's surface [m], (N, 2).
-        free_moment: about the vertical through it [N m], (N,).
-        rotation: from the flat foot to the foot, of the rigid body nearest
+        times: on the markers' clock [s], (N,).
+        force: of the ground on the foot: x, y, z of the frame [N], (N, 3).
+        cop: centre of pressure on the plate's surface: x, y [m], (N, 2).
+        free_moment: about the vertical through the CoP [N m], (N,).
+        rotation: of the foot from its flat pose, of the rigid body nearest
             to its markers, (N, 3, 3).
-        place: of the frame's origin in the laboratory, forward and left [m],
-            (2,), at the middle of the flat part.
-        yaw: of its x-axis there [rad].
+        place: position of the frame's origin in the laboratory, forward and
+            left [m], (2,), at the middle of the flat part.
+        yaw: angle of the frame's x axis from forward [rad].
         belt: velocity of the ground, forward and left [m/s], (2,).
     """
 
@@ -81,20 +81,20 @@ def recorded_step(
     number: int = 0,
     least_force_n: float = COP_THRESHOLD_N,
 ) -> RecordedStep:
-    """Cut one step out of a trial of a study.
+    """Cut one step of a foot out of a trial of a study.
 
-    Heel strike and toe-off are where the foot's own plate passes a force,
-    20 N unless another is given.
+    Heel strike and toe-off are where the force on the foot's own plate passes
+    `least_force_n`.
 
     Args:
         settings: of the study.
-        root: folder that its paths start from.
-        trial: its name.
-        foot: whose step.
+        root: folder that the study's paths start from.
+        trial: name of the trial.
+        foot: "left" or "right".
         start, end: events, or times [s] on the markers' clock.
-        number: which of the contacts that have both, from 0; a part that
-            holds two is none.
-        least_force_n: of a contact [N].
+        number: of the step, from 0, among contacts that have start and end; a
+            part between times that holds two contacts is no step.
+        least_force_n: least vertical force of a contact [N].
 
     Raises:
         InputError: no such trial or contact, a contact on two plates, files
@@ -154,7 +154,7 @@ def _trial(settings: RecordingSettings, name: str) -> TrialFiles:
 
 
 def _part(contact: Contact, start: Begin, end: End) -> tuple[float, float]:
-    """From when to when a step is that of a contact [s]."""
+    """Start and end [s] of the step in a contact: its events, or times."""
     first = contact.start_s if isinstance(start, str) else start
     return first, contact.end_s if isinstance(end, str) else end
 
@@ -164,7 +164,7 @@ def _chosen(every, start, end, number, where) -> Contact:
         begins = c.begins or not isinstance(start, str)
         return begins and (c.ends or not isinstance(end, str))
 
-    def met(c):  # with two, the foot was in the air between
+    def met(c):  # contacts in the part; with two, the foot lifted between
         first, last = _part(c, start, end)
         return [k for k in every if k.start_s < last and k.end_s > first]
 
@@ -180,7 +180,7 @@ def _chosen(every, start, end, number, where) -> Contact:
 
 
 def _one_plate(time, each, part, numbers, where) -> int:
-    """Which plate of the foot a step lies on; refused if on a second, too."""
+    """Index of the plate that a step lies on; refuses a step on two."""
     inside = between(time, *part)
     loaded = [inside & (w[:, 2] >= COP_THRESHOLD_N) for w in each]
     used = [i for i, here in enumerate(loaded) if here.any()]
@@ -196,7 +196,7 @@ def _one_plate(time, each, part, numbers, where) -> int:
 
 
 def _surface(plate: PlateRecording, wrench, axes: Axes) -> float:
-    """Height of the plate's surface, where its forces act [m]."""
+    """Height of the plate's surface: median height of its CoP [m]."""
     loaded = wrench[:, 2] >= COP_THRESHOLD_N
     return float(np.median(axes.space(plate.point)[loaded, 2]))
 
@@ -208,7 +208,7 @@ def _foot_markers(
     foot: Side,
     contact: Contact,
 ) -> MarkerData:
-    """Smoothed markers of foot and toes: forward, left, up (N, k, 3) [m]."""
+    """Filtered markers of foot and toes: forward, left, up (N, k, 3) [m]."""
     names = _names(settings, foot)
     lab = settings.laboratory
     data, gaps = fill_gaps(
@@ -241,7 +241,7 @@ def _names(settings: RecordingSettings, foot: Side) -> tuple[str, ...]:
 
 
 def _ends(points: np.ndarray, names: tuple[str, ...]) -> tuple[int, int]:
-    """Rearmost and foremost marker of a flat foot: the pair farthest apart.
+    """Indices of a flat foot's rearmost and foremost marker: farthest apart.
 
     Args:
         points: (k, 3) forward, left, up [m].
@@ -266,7 +266,7 @@ def _at_frames(time, wrench: np.ndarray, markers: MarkerData) -> np.ndarray:
     each = max(round((1 / markers.rate_hz) / (time[1] - time[0])), 1)
     if each > 1:
         ones = np.ones(each)
-        if each % 2 == 0:  # half of either end, or all would be late
+        if each % 2 == 0:  # half weight at both ends keeps it symmetric
             ones = np.r_[0.5, ones[1:], 0.5]
         ones /= each
         wrench = np.stack(
@@ -321,7 +321,7 @@ def _flat(points: np.ndarray, time, stands) -> np.ndarray:
 
 
 def _cop(wrench: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """Point (N, 2) at a height where the moment is vertical, and it (N,).
+    """Centre of pressure (N, 2) [m] at a height, free moment (N,) [N m].
 
     From M = r × F + T e_z about the laboratory's origin.
     """
@@ -332,7 +332,7 @@ def _cop(wrench: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def nearest_rotations(shape: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Rotations (N, 3, 3) of a shape (k, 3) nearest to moved points (N, k, 3).
+    """Rotations (N, 3, 3) of a shape (k, 3) that best fit points (N, k, 3).
 
     Least squares over rigid motions (Kabsch, Acta Cryst. A 32, 1976).
     """

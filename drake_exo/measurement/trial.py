@@ -19,13 +19,13 @@ _OUTSIDE_S = 1e-6  # rounding of a trial's end
 
 @dataclass(frozen=True, eq=False)
 class CuffForce:
-    """Force of a cuff on the human, as a mat or a model knows it.
+    """Force of a cuff on the human, measured by mats or given by a model.
 
     Attributes:
-        normal: (n,) across the segment, forward [N].
-        tangential: (n,) along it, upward [N]; None where not known: mats do
-            not measure it.
-        moment: (n,) [N m], toes-up positive; None likewise.
+        normal: (n,) across the segment, positive forward [N].
+        tangential: (n,) along the segment, positive upward [N]; None if
+            unknown, since mats do not measure it.
+        moment: (n,) [N m], toes-up positive; None if unknown.
 
     >>> CuffForce(np.array([12.0])).tangential is None
     True
@@ -67,15 +67,15 @@ class CuffForce:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One movement of one subject; forces and angles are of both legs.
+    """One movement of one subject; with one leg, forces are sums of both legs.
 
-    Toes up, dorsiflexion, knee and hip flexion are positive, of angles and of
-    moments; all angles are zero in upright standing. Arrays cannot be written
-    to: change a copy, and put it in with `dataclasses.replace`.
+    Toes up, dorsiflexion, knee and hip flexion are positive, for angles and
+    moments; all angles are zero in upright standing. Arrays are read-only:
+    change a copy, and put it in with `dataclasses.replace`.
 
     Raises:
-        InputError: a part is of another kind, an array holds no numbers, or
-            the chair's share is not within 0 and 1.
+        InputError: a part is of another type, an array holds no real numbers,
+            or the chair's share is not within 0 to 1.
         ValueError: an array has another shape.
 
     Attributes:
@@ -83,24 +83,24 @@ class Trial:
         coordinates: names of the coordinates.
         times: (n,) increasing, from 0 [s].
         q, v, a: (n, nq) positions [m, rad] and their time derivatives.
-        ground: wrench (n,) of the ground on the feet.
-        feet: side -> its part of that; empty where one leg stands for both.
-        source: how the trial came about.
+        ground: wrench (n,) of the ground on both feet.
+        feet: side -> that foot's part of `ground`; empty in models of one leg.
+        source: "measured", "solved" or "simulated".
         moments: (n, n_joints) joint moments [N m]; the human's are those of
             the muscles: without the exoskeleton's. None where not known.
         cuffs: cuff -> its force (n,) on the human, where it is known.
-        chair: wrench (n,) of the chair on the body; None where no plate was
+        chair: wrench (n,) of the chair on the body; None if no plate was
             under it.
-        chair_on_thighs: share of it that acts on the thighs, the rest acts
-            on the pelvis.
-        applied: segment -> wrench (n,) of what it carries, or what pulls and
-            pushes it.
-        friction: (n, device's joints) part of `moments` that is friction as a
-            bench identified it [N m]; None where moments were measured.
-        jerk: (n_controls, nq) of a solution; None otherwise.
+        chair_on_thighs: share of `chair` that acts on the thighs; the rest
+            acts on the pelvis.
+        applied: segment -> wrench (n,) of the loads that it carries, or that
+            pull or push it.
+        friction: (n, device's joints) part of `moments` that is identified
+            friction [N m]; None where moments were measured.
+        jerk: (n_controls, nq) controls of a solution; None otherwise.
         mass_kg: body mass without the exoskeleton; None where not known.
-        start_s: of the first sample in the recording [s].
-        provenance: which files, which filter, what was shifted or doubled.
+        start_s: time of the first sample in the recording [s].
+        provenance: files, filters, and what was shifted or doubled.
 
     >>> import numpy as np
     >>> names = Coordinates(("foot_x", "foot_z", "foot_pitch", "ankle"))
@@ -184,7 +184,7 @@ class Trial:
         )
 
     def not_finite(self) -> str | None:
-        """Name of an array that holds NaN or infinity; None if all is well."""
+        """Name of an array that holds NaN or infinity; None if none does."""
         arrays = {"times": self.times, **self._arrays()}
         bad = (n for n, x in arrays.items() if not np.isfinite(x).all())
         return next(bad, None)
@@ -198,11 +198,11 @@ class Trial:
         return self.q[:, self.coordinates.index(name)]
 
     def velocity(self, name: str) -> np.ndarray:
-        """Its first derivative (n,) [m/s or rad/s]; raises likewise."""
+        """Velocity (n,) of a coordinate [m/s or rad/s]; raises likewise."""
         return self.v[:, self.coordinates.index(name)]
 
     def acceleration(self, name: str) -> np.ndarray:
-        """Its second derivative (n,) [m/s^2 or rad/s^2]; raises likewise."""
+        """Acceleration (n,) by name [m/s^2 or rad/s^2]; raises likewise."""
         return self.a[:, self.coordinates.index(name)]
 
     def moment(self, name: str) -> np.ndarray:
@@ -239,13 +239,13 @@ class Trial:
 
     @property
     def lags_s(self) -> dict[str, float]:
-        """Lag of each clock that was taken out [s]; of recordings alone."""
+        """Instrument -> lag removed from its clock [s]; {} if not measured."""
         return self.provenance.get("delays_s", {})
 
     @property
     def chair_shares(self) -> dict[str, float]:
-        """Segment -> share of the chair's wrench; none where none is felt."""
-        # Zero all the time is no chair, and costs nothing.
+        """Segment -> share of the chair's wrench; {} without a chair."""
+        # A wrench that is always zero is no chair; leaving it out saves time.
         if self.chair is None or not self.chair.array.any():
             return {}
         parts = {
@@ -255,17 +255,17 @@ class Trial:
         return {name: share for name, share in parts.items() if share > 0.0}
 
     def chair_loads(self) -> dict[str, PlanarWrench]:
-        """What the chair does to the segments, as loads of inverse dynamics."""
+        """Segment -> wrench (n,) of the chair, for inverse dynamics."""
         return {
             name: PlanarWrench.of(share * self.chair.array)
             for name, share in self.chair_shares.items()
         }
 
     def loads(self, root: str) -> dict[str, PlanarWrench]:
-        """What acts on the body, as loads of inverse dynamics.
+        """Segment -> external wrench (n,) on it, for inverse dynamics.
 
         Args:
-            root: the model's, which is the foot where one leg stands for both.
+            root: root segment of the model: the foot if it has one leg.
         """
         ground = {f"foot_{side}": w for side, w in self.feet.items()}
         found = ground or {root: self.ground}
@@ -275,20 +275,20 @@ class Trial:
         return found
 
     def borne(self) -> list[tuple[dict[str, float], PlanarWrench]]:
-        """Chair and what is carried: segment -> share, of which wrench."""
+        """Wrenches of chair and loads, each with segment -> share of it."""
         found = [(self.chair_shares, self.chair)] if self.chair_shares else []
         return [*found, *(({b: 1.0}, w) for b, w in self.applied.items())]
 
     @property
     def soles(self) -> dict[str, PlanarWrench]:
-        """Wrench by foot: "left" and "right", or "both"."""
+        """Wrench (n,) of the ground by foot: "left" and "right", or "both"."""
         return self.feet or {"both": self.ground}
 
     def sample(self, times: np.ndarray) -> "Trial":
         """The same movement at other times (m,) [s], by cubic splines.
 
         Raises:
-            InputError: one of them is before its begin or after its end.
+            InputError: a time is outside the trial, or none is given.
         """
         times = np.atleast_1d(np.asarray(times, dtype=float))
         if not times.size:
@@ -310,7 +310,7 @@ class Trial:
         return replace(self, times=times, jerk=None, **_fields(arrays))
 
     def _arrays(self) -> dict[str, np.ndarray]:
-        """All arrays by name but times."""
+        """Name -> array, of all arrays that are set, except times."""
         arrays = {"q": self.q, "v": self.v, "a": self.a}
         arrays["ground"] = self.ground.array
         for side, wrench in self.feet.items():
@@ -327,7 +327,7 @@ class Trial:
         return {name: x for name, x in arrays.items() if x is not None}
 
     def save(self, path: str | Path) -> None:
-        """Write `path`.npz (numbers) and `path`.json (the rest)."""
+        """Write `path`.npz (arrays) and `path`.json (the rest)."""
         path = path_of(path, "path")
         np.savez(
             path.with_name(path.name + ".npz"),
@@ -417,11 +417,11 @@ def _fields(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
 
 
 def as_trials(trials) -> tuple[Trial, ...]:
-    """Trials that somebody gives.
+    """Check trials given by a caller and return them as a tuple.
 
     Raises:
-        InputError: there are none, they are something else, or two are of one
-            name.
+        InputError: not a list, none in it, something other than a trial, or
+            two of one name.
     """
     if not isinstance(trials, Iterable) or isinstance(trials, str):
         raise InputError(f"{trials!r:.60} is not a list of trials; give a list")
