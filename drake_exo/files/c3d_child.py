@@ -1,9 +1,9 @@
-"""Decodes one C3D file with ezc3d: `python c3d_child.py FILE`.
+"""Decode one C3D file with ezc3d: `python c3d_child.py FILE`.
 
-In a process of its own, since damaged files make ezc3d crash, run on without
-end or ask for all memory there is. Writes an .npz to stdout: points, analogs,
-rates, each parameter as `parameter_i`, and as JSON what group and name it has.
-Exit code 1 and a reason on stderr where ezc3d refuses.
+Runs in a process of its own, since damaged files make ezc3d crash, hang or
+exhaust the memory. Writes an .npz to stdout: points, analogs, rates, each
+parameter as `parameter_i`, and `names`, JSON of each one's group and name.
+If ezc3d refuses the file, exits with code 1 and the reason on stderr.
 """
 
 import io
@@ -13,10 +13,10 @@ import resource
 import sys
 
 _MOST_MEMORY = 4 << 30  # bytes
-_MOST_SECONDS = 3  # of processor time, and as many for each megabyte
+_MOST_SECONDS = 3  # of processor time, plus as many per megabyte
 
 if __name__ == "__main__":
-    # What libraries print must not get between the arrays.
+    # Whatever libraries print goes to stderr: stdout holds the arrays alone.
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     longest = _MOST_SECONDS * (1 + (os.path.getsize(sys.argv[1]) >> 20))
@@ -28,7 +28,7 @@ if __name__ == "__main__":
 
     try:
         file = ezc3d.c3d(sys.argv[1])
-    except Exception as error:  # whatever damage makes of it
+    except Exception as error:  # damage may raise anything
         sys.exit(f"{error}")
     names, arrays = [], {}
     for group, entries in file["parameters"].items():

@@ -1,4 +1,4 @@
-"""Mesh files: STL, OBJ, what meshio knows; damaged ones are refused."""
+"""Read mesh files: STL, OBJ, PLY, meshio's formats; refuse damaged ones."""
 
 import codecs
 import contextlib
@@ -21,10 +21,10 @@ _MARKS = (codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def _read_obj(path: Path) -> meshio.Mesh:
-    """The faces of a Wavefront file, polygons cut into triangles.
+    """Read a Wavefront file's faces; polygons are cut into triangles.
 
-    Normals, textures, groups, lines and free forms are left out; meshio
-    stumbles over them.
+    Normals, textures, groups, lines and free-form surfaces are skipped;
+    meshio's reader fails on them.
     """
     places, faces = [], []
     text = re.sub(r"\\\r?\n", " ", path.read_bytes().decode("latin-1"))
@@ -34,7 +34,7 @@ def _read_obj(path: Path) -> meshio.Mesh:
             places.append(words[:3])
         elif kind == "f":
             face = [int(word.split("/")[0]) for word in words]
-            # From 1 on, or backwards from the last place so far.
+            # Counted from 1, or if negative back from the last vertex so far.
             faces.append([i + len(places) if i < 0 else i - 1 for i in face])
     if any(not 0 <= i < len(places) for face in faces for i in face):
         raise ValueError("a face names a node that is not there")
@@ -58,10 +58,10 @@ def _read_obj(path: Path) -> meshio.Mesh:
 
 
 def _read_stl(path: Path) -> meshio.Mesh:
-    """The triangles of an STL file, each with corners of its own.
+    """Read the triangles of an STL file, each with three nodes of its own.
 
-    Binary if it is as long as its header says, whatever that begins with.
-    (libigl's reader runs without end on damaged text.)
+    The file is binary if it is as long as its header says, even if that begins
+    with "solid". (libigl's reader hangs on damaged text.)
     """
     whole = path.read_bytes()
     count = int.from_bytes(whole[80:84], "little")
@@ -91,20 +91,21 @@ def read_cells(
     remedy: str,
     read: Callable[[Path], meshio.Mesh] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and cells of one type.
+    """Read a mesh's nodes and its cells of one type, as read-only arrays.
 
     Args:
         path: the file.
         cell_type: meshio's name, such as "triangle".
-        remedy: ends the message where the file cannot be understood.
-        read: The file's reader, by default that of its ending.
+        remedy: advice that ends the message if the file is damaged.
+        read: the file's reader, by default chosen by its suffix.
 
     Returns:
-        Nodes (n, 3) and node indices of the cells (c, k); c may be 0.
+        Nodes (n, 3) in the file's unit, and the cells' node indices (c, k); c
+        may be 0.
 
     Raises:
-        InputError: unreadable or damaged, nodes that are not finite, cells
-            with nodes that are not there.
+        InputError: unreadable or damaged, nodes that are not finite, or cells
+            that refer to missing nodes.
     """
     start = read_bytes(path)
     read = read or _READERS.get(path.suffix.lower(), meshio.read)
@@ -114,7 +115,7 @@ def read_cells(
             "one (BOM)"
         )
     try:
-        # meshio would look for the end of a .ply's header for ever.
+        # meshio would search for the end of a .ply's header forever.
         if start.startswith(b"ply") and b"end_header" not in start:
             raise ValueError("its header does not end")
         if re.search(rb"^\$MeshFormat\s+2\S*\s+0\s", start, re.MULTILINE):
@@ -124,12 +125,12 @@ def read_cells(
             cells = [b.data for b in raw.cells if b.type == cell_type]
             found = np.concatenate(cells) if cells else np.zeros((0, 1))
             nodes = np.asarray(raw.points, float)
-    # meshio exits; bytes that are no text are those of a file cut off.
+    # meshio may exit the process; undecodable bytes mean a truncated file.
     except (SystemExit, UnicodeDecodeError) as error:
         raise InputError(
             f"{path}: is not a readable mesh (damaged or cut off); {remedy}"
         ) from error
-    # Whatever a damaged file makes of the parser.
+    # A damaged file may raise anything in a parser.
     except Exception as error:
         raise InputError(
             f"{path}: is not a readable mesh ({reason(error)}); {remedy}"
@@ -155,9 +156,9 @@ def read_cells(
 
 
 def _check_gmsh(data: bytes) -> None:
-    """Elements of one kind have as many nodes in a text of format 2.
+    """Refuse Gmsh 2 text in which elements of one type differ in node count.
 
-    meshio takes a row's last numbers for nodes, were they tags.
+    meshio would take the last numbers of such a row for nodes, even tags.
     """
     text = data.partition(b"$Elements")[2].partition(b"$EndElements")[0]
     rows = [row.split() for row in text.splitlines() if row.strip()]
@@ -170,7 +171,7 @@ def _check_gmsh(data: bytes) -> None:
 
 @contextlib.contextmanager
 def _quiet():
-    """Silence: meshio prints what it will raise, and numpy warns of it."""
+    """Silence meshio, which prints errors before raising, and numpy."""
     with (
         warnings.catch_warnings(),
         np.errstate(all="ignore"),

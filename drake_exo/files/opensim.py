@@ -1,7 +1,7 @@
-"""OpenSim's text files: .trc markers, .mot and .sto tables.
+"""Read and write OpenSim's text files: .trc markers, .mot and .sto tables.
 
 Real files end lines with tabs and carriage returns, round their time stamps
-and name force plates in several ways; what cannot be told from the file is
+and name force plates in several ways. Whatever a file leaves ambiguous is
 refused instead of guessed.
 """
 
@@ -75,7 +75,7 @@ def read_table(path: str | Path) -> Table:
 
 
 def read_trc(path: str | Path) -> MarkerData:
-    """Read a .trc file; positions in metres whatever the file has.
+    """Read a .trc file; positions are converted to metres.
 
     Raises:
         InputError: the file is unreadable, truncated, or holds text among
@@ -118,7 +118,7 @@ def read_plates(
     """Read the force plates of a .mot or .sto file.
 
     Returns:
-        Times (N,) [s] and the plates by number.
+        Times (N,) [s], and number -> plate.
 
     Raises:
         InputError: as `read_table`; no plate, a component missing, or gaps.
@@ -128,13 +128,13 @@ def read_plates(
 
 
 def has_plates(table: Table) -> bool:
-    """Whether some columns are forces on plates, such as ground_force_vx."""
+    """Whether a table has columns of plate forces, such as ground_force_vx."""
     found = map(_PLATE_COLUMN.fullmatch, table.names)
     return any(match and match["kind"] == "v" for match in found)
 
 
 def plates_of(table: Table) -> dict[int, PlateRecording]:
-    """The force plates among the columns of a table; see `read_plates`."""
+    """Number -> force plate, from the columns of a table; see `read_plates`."""
     columns: dict[str, dict[str, str]] = {}
     for name in table.names:
         match = _PLATE_COLUMN.fullmatch(name)
@@ -156,7 +156,7 @@ def plates_of(table: Table) -> dict[int, PlateRecording]:
             f"{table.source}: has no force plate; name columns like "
             "ground_force_1_vx, ground_force_1_px, ground_torque_1_x"
         )
-    labels = sorted(columns, key=bool)  # what has no label is the first
+    labels = sorted(columns, key=bool)  # the plate without a label is first
     # "ground_force_2_vx" is plate 2, and so is "FP2_ground_force_vx";
     # "1_ground_force_vx" beside "ground_force_vx" is OpenSim's second plate.
     told = [re.fullmatch(r"\D*0*([1-9]\d*)\D*", label) for label in labels]
@@ -213,11 +213,11 @@ def write_table(
     """Write a .mot or .sto file that OpenSim reads.
 
     Args:
-        path: of the file.
-        table: what it holds.
-        title: its first line; the file's name if empty.
-        mark: `Verdict.mark`, after it.
-        digits: of each number; 17 are all of it.
+        path: the file.
+        table: columns to write.
+        title: its first line; the file's stem if empty.
+        mark: `Verdict.mark`, appended to the title in brackets.
+        digits: significant digits of each number; 17 lose nothing.
     """
     path = Path(path)
     degrees = "yes" if table.in_degrees else "no"
@@ -259,7 +259,7 @@ def write_trc(path: str | Path, markers: MarkerData) -> None:
 
 
 def _header(lines: list[str]) -> dict[str, str]:
-    # SIMM writes blanks, OpenSim "=".
+    # SIMM separates name and value by blanks, OpenSim by "=".
     pairs = (re.split(r"\s*=\s*|\s+", s.strip(), maxsplit=1) for s in lines)
     return {p[0].lower(): p[1] for p in pairs if len(p) == 2}
 
@@ -283,16 +283,16 @@ def _length_unit(path, unit: str | None) -> float:
 
 
 def _is_cut_out(announced: str | None, frames: np.ndarray) -> bool:
-    """Whether these are later frames (n,) of a recording announced whole."""
+    """Whether frame numbers (n,) are a part of a recording of `announced`."""
     if announced is None or not announced.isdecimal():
         return False
     return len(frames) > 0 and frames[0] > 1 and frames[-1] < int(announced)
 
 
 def _fields(line: str, width: int) -> list[str]:
-    """Cells of a .trc row; markers missing at its end become gaps.
+    """Cells of a .trc row; whole markers missing at its end become gaps.
 
-    A row without an end of line may have been cut off.
+    Not in a row without a line break, which may have been truncated.
     """
     cells = line.rstrip().split("\t")
     if (len(cells) - 2) % 3 == 0 and line.endswith(("\n", "\r")):

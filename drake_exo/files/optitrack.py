@@ -1,4 +1,4 @@
-"""OptiTrack Motive's CSV exports: markers, and one force plate."""
+"""Read OptiTrack Motive's CSV exports: markers, and one force plate."""
 
 import csv
 from pathlib import Path
@@ -82,15 +82,15 @@ def read_markers_csv(path: str | Path) -> MarkerData:
 def read_plate_csv(
     path: str | Path,
 ) -> tuple[np.ndarray, dict[int, PlateRecording]]:
-    """Read a force plate's export of Motive.
+    """Read Motive's export of a force plate, as the wrench on the body.
 
-    The export holds what the body does to the plate, in the plate's frame
-    (z down), in N and N m about the middle of its surface; returned is what
-    the plate does to the body, in the axes of the corners. Samples before
-    the device began to stream, all zero, are left out.
+    The export holds the wrench of the body on the plate, in the plate's frame
+    (z down), in N and N m about the middle of its surface. It is reversed and
+    turned into the axes in which the corners are given. Samples before the
+    device began to stream, which are all zero, are left out.
 
     Returns:
-        Times (N,) [s] and the plate by its number, 1.
+        Times (N,) [s], and {1: the plate}.
 
     Raises:
         InputError: another format, no corners, truncated or damaged rows,
@@ -139,7 +139,7 @@ def read_plate_csv(
 
 
 def _rows(path) -> list[tuple[int, list[str]]]:
-    """Number and cells of each line that is not blank."""
+    """Line number and cells of each line that is not blank."""
     reader = csv.reader(read_text(path).splitlines())
     found = [
         (reader.line_num, row) for row in reader if any(map(str.strip, row))
@@ -170,7 +170,7 @@ def _label_rows(path, rows) -> tuple[list[str], list[str]]:
 
 
 def _corners(path, head) -> np.ndarray:
-    """Corners (4, 3) [m]."""
+    """Corners (4, 3) of the plate [m], in the order of `_CORNERS`."""
     try:
         corners = np.array(
             [[float(head[f"{c}_{a}"]) for a in "XYZ"] for c in _CORNERS]
