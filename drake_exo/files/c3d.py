@@ -1,24 +1,24 @@
-"""C3D files: markers, force plates of types 1 to 4, analog channels.
+"""Read C3D files: markers, force plates of types 1 to 4, analog channels.
 
-ezc3d decodes a file, in a process of its own (`c3d_child.py`), since damage
-makes it crash, run on without end or ask for all memory there is. Two things
-it does not tell are found here: that a file is truncated (it hands over the
-frames that are left, and corrects the header's count), and what the signals
-of a plate mean. Its own analysis of plates knows no units, demands a
-calibration matrix of types that have none, and turns the moments of type 1.
+ezc3d decodes the file in a process of its own (`c3d_child.py`), since damaged
+files make it crash, hang or exhaust the memory. Two things that it does not
+tell are found here: whether a file is truncated (it returns the frames that
+are left, and corrects the header's count), and what the signals of a plate
+mean. Its own plate analysis ignores units, requires a calibration matrix for
+types that have none, and turns the moments of type 1.
 
-A plate's own frame comes from its corners (The C3D File Format,
-FORCE_PLATFORM group): x from corner 2 to 1, y from corner 4 to 1, z = x × y,
-which points down for a plate in the floor. ORIGIN runs from the origin of the
-plate's signals to the middle of its surface, so its z is negative; files with
-a positive one are common and are corrected.
+A plate's frame comes from its corners (The C3D File Format, FORCE_PLATFORM
+group): x from corner 2 to 1, y from corner 4 to 1, z = x × y, which points
+down for a plate in the floor. ORIGIN is the vector from the origin of the
+plate's signals to the middle of its surface, so its z is negative; a positive
+z is a common mistake in files, and is corrected.
 
     type 1: F, point of application from the middle, free moment
     type 2: F and M about the signals' origin
     type 3: eight channels of four piezoelectric sensors
     type 4: as type 2, after the calibration matrix
 
-Written are markers and plates of type 2.
+`write_c3d` writes markers and plates of type 2.
 """
 
 import io
@@ -46,11 +46,11 @@ from drake_exo.files.tables import (
 _CHILD = Path(__file__).with_name("c3d_child.py")
 _FORCES = {"n": 1.0, "kn": 1e3, "mn": 1e-3}
 _MOMENTS = {"nm": 1.0, "ncm": 1e-2, "nmm": 1e-3}
-_CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}  # of a plate, by its type
+_CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}  # plate type -> number of channels
 _MOST_PLATES = 64
-_SIDES = 0.05, 20.0  # of a plate, at least and at most [m]
-_FARTHEST = 1e9  # of a marker, in any unit
-_LARGEST = 1e30  # of a signal, in any unit
+_SIDES = 0.05, 20.0  # least and largest side of a plate [m]
+_FARTHEST = 1e9  # largest marker coordinate, in any unit
+_LARGEST = 1e30  # largest plate signal or calibration entry, in any unit
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class C3d:
     Attributes:
         markers: None if the file has none.
         plates: number from 1 -> force plate in the file's axes, forces on
-            the body; one that cannot be read raises when it is asked for.
+            the body. An unreadable plate raises InputError on access.
         plate_time: (N,) of the plates' samples [s].
         analog: all analog channels; None if the file has none.
     """
@@ -75,8 +75,8 @@ def read_c3d(path: str | Path) -> C3d:
     """Read a C3D file; time starts at zero with its first frame.
 
     Raises:
-        InputError: unreadable or truncated file, unknown units. Of a plate
-            without corners or channels, or of another type: see `C3d`.
+        InputError: unreadable or truncated file, unknown units. A plate that
+            lacks corners or channels, or has another type: see `C3d`.
     """
     path = Path(path)
     file = decode(path)
@@ -93,7 +93,7 @@ def read_c3d(path: str | Path) -> C3d:
 
 
 class _Plates(Mapping):
-    """Plates of a file, each read when it is asked for."""
+    """Number -> plate of a file; each is decoded on access."""
 
     def __init__(self, count: int, *of):
         self._numbers, self._of = range(1, count + 1), of
@@ -112,15 +112,15 @@ class _Plates(Mapping):
 
 @dataclass(frozen=True)
 class C3dContents:
-    """What the file says, without interpretation.
+    """Parameters and data of a C3D file, without interpretation.
 
     Attributes:
         parameters: group -> name -> numbers (in the file's dimensions) or a
             list of texts.
         points: (N, M, 3) in the file's unit; NaN where not seen.
-        rate_hz: of the points.
-        analogs: (N k, C) scaled.
-        analog_rate_hz: of the channels, k times the points'.
+        rate_hz: frames of the points per second.
+        analogs: (N k, C) channels, scaled by ezc3d.
+        analog_rate_hz: samples of the channels per second, k times `rate_hz`.
     """
 
     parameters: dict[str, dict[str, np.ndarray | list[str]]]
@@ -147,11 +147,11 @@ class C3dContents:
 
 @kept(2)  # a trial and the empty plates
 def decode(path: Path) -> C3dContents:
-    """Decode a file.
+    """Decode a C3D file in a process of its own.
 
     Raises:
-        InputError: it cannot be read, is no C3D file, is truncated, is
-            damaged, or has more frames than can be read.
+        InputError: the file cannot be read, is not C3D, is truncated or
+            damaged, or has more than 65535 frames that ezc3d cannot read.
     """
     is_long = _check_complete(path)
     done = subprocess.run(
@@ -194,7 +194,7 @@ def decode(path: Path) -> C3dContents:
 
 _BLOCK = 512  # bytes
 _INTEL, _DEC, _MIPS = 84, 85, 86
-_LONG = 0xFFFF  # header's last frame where there are more, if it tells
+_LONG = 0xFFFF  # last frame in the header if there are more than it can count
 
 
 def _check_complete(path: Path) -> bool:
@@ -218,7 +218,7 @@ def _check_complete(path: Path) -> bool:
         )
     words = np.frombuffer(data[:24], "<u2").astype(int)
     points, analogs, first, last, start = words[[1, 2, 3, 4, 8]]
-    # The scale's sign: reals where it is negative.
+    # Sign of the scale: if negative, numbers are 4-byte reals.
     sign = words[7] if processor[0] == _INTEL else words[6]
     size = (4 * points + analogs) * (4 if sign >> 15 else 2)
     beyond = len(data) - (start - 1) * _BLOCK - (last - first + 1) * size
@@ -226,7 +226,7 @@ def _check_complete(path: Path) -> bool:
         return beyond >= _BLOCK
     if beyond < 0:
         raise _truncated(path)
-    # Others let the count begin again.
+    # Some writers let the 16-bit count of frames overflow instead.
     return size > 0 and beyond >= (_LONG + 1) * size
 
 
@@ -274,10 +274,10 @@ def _analog(path, file: C3dContents) -> Table | None:
 
 
 def _scaled(path, file: C3dContents) -> np.ndarray:
-    """Analog signals (N, C): counts less OFFSET, in their units.
+    """Analog signals (N, C): (counts - OFFSET) times scales, in their units.
 
-    ezc3d takes an OFFSET's magnitude, and counts without sign for signed
-    ones, 65 536 too low where they are large.
+    Corrects ezc3d, which uses the magnitude of OFFSET, and reads unsigned
+    counts as signed ones: large counts come out 65 536 too low.
     """
     values = file.analogs
     scale, told = (_by_channel(path, file, n) for n in ("SCALE", "OFFSET"))
@@ -285,7 +285,7 @@ def _scaled(path, file: C3dContents) -> np.ndarray:
     one = scale if whole is None else whole.flat[0] * scale
     is_unsigned = file.texts("ANALOG", "FORMAT")[:1] == ["UNSIGNED"]
     offset = np.mod(told, 65536.0) if is_unsigned else told
-    with np.errstate(invalid="ignore"):  # of a scale that is no number
+    with np.errstate(invalid="ignore"):  # a scale may be NaN
         values = values + one * (np.abs(told) - offset)
     real = file.numbers("POINT", "SCALE")
     if not is_unsigned or (real is not None and real.flat[0] < 0.0):
@@ -295,7 +295,7 @@ def _scaled(path, file: C3dContents) -> np.ndarray:
 
 
 def _by_channel(path, file: C3dContents, name: str) -> np.ndarray:
-    """A number (C,) of ANALOG for each channel, with its continuations."""
+    """A parameter of ANALOG (C,), one number per channel, all continuations."""
     found = [file.numbers("ANALOG", f"{name}{i}") for i in ("", *range(2, 10))]
     number = np.concatenate(
         [np.ravel(x) for x in found if x is not None] or [[]]
@@ -310,7 +310,7 @@ def _by_channel(path, file: C3dContents, name: str) -> np.ndarray:
 
 
 def _unique(names: list[str], count: int, prefix: str) -> tuple[str, ...]:
-    """One name for each of `count` columns; repeated ones get a number."""
+    """Unique names of `count` columns; repeated and missing get a number."""
     names = [*names[:count], *[""] * (count - len(names))]
     found: list[str] = []
     for i, name in enumerate(names):
@@ -339,7 +339,7 @@ class _Plate:
     """One plate of a file: its geometry and its signals.
 
     Attributes:
-        corners: (4, 3) [m].
+        corners: (4, 3) [m], in the file's axes.
     """
 
     def __init__(self, number, path, file: C3dContents, analog):
@@ -354,7 +354,7 @@ class _Plate:
             self._raw = self._raw @ self._calibration().T
 
     def recording(self) -> PlateRecording:
-        """Force and free moment about the middle of the surface."""
+        """Force and moment about the middle of the surface, file's axes."""
         R = plate_axes(self.corners)
         F, M = self._wrench()
         middle = self.corners.mean(axis=0)
@@ -366,7 +366,7 @@ class _Plate:
         )
 
     def _wrench(self) -> tuple[np.ndarray, np.ndarray]:
-        """Force and moment about the surface's middle, in the plate."""
+        """Force, moment about the surface's middle (N, 3), plate's axes."""
         force_scale, moment_scale = self._scales()
         if self._kind == 3:
             F, M = _of_four_sensors(force_scale * self._raw, self._origin)
@@ -386,10 +386,10 @@ class _Plate:
         return F, M - np.cross(self._origin, F)
 
     def _scales(self) -> tuple[float, float]:
-        """Factors to N and N m of force and moment channels.
+        """Factors of force and moment channels to N and N m.
 
-        After a calibration matrix channels that count volts are newtons, and
-        newtons times the file's unit of length (C3D manual).
+        A calibration matrix turns channels in volts into newtons, and newtons
+        times the file's unit of length (C3D manual).
         """
         force, moment = self._units[0], self._units[-1]
         if self._kind == 4 and force.strip().lower() in ("v", "mv", "uv", ""):
@@ -403,7 +403,7 @@ class _Plate:
     # What FORCE_PLATFORM says of the plate -------------------------------
 
     def _parameter(self, name: str, dimensions: int) -> np.ndarray | None:
-        """The plate's own entry of a parameter, None if it is not there."""
+        """Entry of a parameter for this plate; None if absent, not finite."""
         values = self._file.numbers("FORCE_PLATFORM", name)
         if values is None or values.ndim != dimensions:
             return None
@@ -491,9 +491,10 @@ class _Plate:
 
 
 def _of_four_sensors(f: np.ndarray, origin: np.ndarray):
-    """Kistler's channels Fx12 Fx34 Fy14 Fy23 Fz1..4 as force and moment.
+    """Force and moment from Kistler's channels Fx12 Fx34 Fy14 Fy23 Fz1..4.
 
-    ORIGIN holds the sensors' distances a, b from the middle, and their depth.
+    About the middle of the four sensors; ORIGIN holds their distances a, b
+    from it along x and y, and their depth.
     """
     a, b = np.abs(origin[:2])
     x12, x34, y14, y23, z1, z2, z3, z4 = f.T
@@ -509,7 +510,7 @@ def _of_four_sensors(f: np.ndarray, origin: np.ndarray):
 
 
 _LABELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-_ORIGIN_M = 0.0, 0.0, -0.04  # of the signals of plates that are written
+_ORIGIN_M = 0.0, 0.0, -0.04  # ORIGIN of the plates that are written
 
 
 def write_c3d(
@@ -527,12 +528,12 @@ def write_c3d(
         plates: forces on the body at `samples_per_frame` times the markers'
             rate.
         corners: of each plate (4, 3) [m], see `tables.plate_axes`.
-        samples_per_frame: analog samples of one marker frame.
+        samples_per_frame: analog samples per marker frame.
 
     Raises:
-        InputError: there is no room for it.
+        InputError: the file, read back, is damaged: the disk may be full.
     """
-    # Only who writes needs its library in this process.
+    # Imported here: reading uses ezc3d only in a process of its own.
     import ezc3d
 
     file = ezc3d.c3d()
@@ -576,7 +577,7 @@ def _channels(plate: PlateRecording, corners: np.ndarray) -> np.ndarray:
 
 
 def _check_written(path: Path) -> None:
-    """The library that writes does not say when a disk is full."""
+    """Read a file back, since ezc3d does not report that a disk is full."""
     try:
         decode(path)
     except InputError as error:
@@ -588,7 +589,7 @@ def _check_written(path: Path) -> None:
 
 
 def add_platforms(file, kinds: Sequence[int], **entries) -> None:
-    """Add what FORCE_PLATFORM says of plates of these types to ezc3d's file."""
+    """Add FORCE_PLATFORM of plates of types `kinds` to an ezc3d file."""
     entries = {"USED": [len(kinds)], "TYPE": kinds, "ZERO": [0, 0], **entries}
     parameters = file["parameters"]
     for name, value in entries.items():

@@ -1,4 +1,4 @@
-"""What a file of ours or a laboratory's holds, for every format read."""
+"""List what a file holds, for every format that can be read."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -27,18 +27,18 @@ from drake_exo.files.tables import (
     runs,
 )
 
-_TOLD = 6  # gaps that a line lists
+_TOLD = 6  # most gaps listed in a line
 _LOADED_N = 20.0
 _MESHES = (".stl", ".obj", ".ply", ".vtk", ".msh")
 
 
 @dataclass(frozen=True)
 class Section:
-    """One kind of signal of a file.
+    """One kind of signal in a file.
 
     Attributes:
-        title: what it is, with rate and duration.
-        lines: one a signal.
+        title: kind of signal, with rate and duration.
+        lines: one per signal.
     """
 
     title: str
@@ -46,7 +46,7 @@ class Section:
 
 
 def inspect(path: str | Path) -> tuple[Section, ...]:
-    """What a file holds: markers with gaps, plates with load, channels.
+    """List a file's contents: markers and gaps, plates and loads, channels.
 
     Args:
         path: .c3d, .trc, .mot, .sto, .csv (table, Motive's, pressure) or .asc;
@@ -128,7 +128,7 @@ def _of_csv(path: Path) -> list[Section]:
 
 
 def _places(path: Path) -> Section:
-    """Where a mat's cells lie."""
+    """Range of the positions of a mat's cells."""
     table = read_places(path)
     low, high = table[:, 2:].min(axis=0), table[:, 2:].max(axis=0)
     count, across = (len(set(table[:, k])) for k in (0, 1))
@@ -183,7 +183,7 @@ def _counted(count: int, one: str, several: str = "") -> str:
 
 
 def _span(time: np.ndarray) -> str:
-    """Rate, duration and number of samples."""
+    """Rate, time range and number of samples, in words."""
     if len(time) < 2 or not time[-1] > time[0]:
         return f"{len(time)} samples"
     rate = (len(time) - 1) / (time[-1] - time[0])

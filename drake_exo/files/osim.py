@@ -1,13 +1,13 @@
-"""OpenSim models (.osim, version 4): scaled ones read, elements added.
+"""Read scaled OpenSim models (.osim, version 4), and add elements to them.
 
 Axes are OpenSim's: x forward, y up, z to the right. Every joint is read as up
-to three turns about body-fixed axes and three translations in the parent's
-frame, each a function of the model's coordinates (OpenSim's SpatialTransform);
-pins, welds, sliders and balls are such, too.
+to three rotations about body-fixed axes and three translations along axes of
+the parent's frame, each a function of one coordinate (OpenSim's
+SpatialTransform). Pins, welds, sliders and balls are special cases.
 
-What is added are bodies, joints, contacts, bushings: each function makes one
-element as OpenSim 4 writes it; `OsimFile` puts them into their sets. Frames on
-bodies are given as a pose: rotation and place.
+Bodies, joints, contacts and bushings can be added: each function makes one XML
+element as OpenSim 4 writes it, and `OsimFile` puts it into its set. Frames on
+bodies are given as a `Pose`.
 """
 
 import xml.etree.ElementTree as ET
@@ -25,7 +25,7 @@ from drake_exo.errors import InputError
 from drake_exo.files.tables import read_text, shown
 
 _X, _Y, _Z = (tuple(row) for row in np.eye(3))
-# Axes of the joints that have no functions of their own: turns, translations.
+# Joints without functions of their own: axes of rotations, translations.
 _SIMPLE: dict[str, tuple[tuple, tuple]] = {
     "WeldJoint": ((), ()),
     "PinJoint": ((_Z,), ()),
@@ -37,7 +37,7 @@ _SIMPLE: dict[str, tuple[tuple, tuple]] = {
     "FreeJoint": ((_X, _Y, _Z), (_X, _Y, _Z)),
 }
 _LARGEST = 1e6  # of any number, in SI units
-# Derivative (order 0 is the value) at values (N,) of the coordinate.
+# f(x, order): derivative (N,) at values x (N,) of a coordinate; order 0: value.
 Function = Callable[[np.ndarray, int], np.ndarray]
 
 
@@ -47,8 +47,8 @@ class OsimBody:
 
     Attributes:
         mass_kg: its mass.
-        com_m: (3,) centre of mass in its frame.
-        inertia_kg_m2: (3, 3) about the centre of mass, in its axes.
+        com_m: (3,) centre of mass in the body's frame.
+        inertia_kg_m2: (3, 3) about the centre of mass, in the body's axes.
     """
 
     mass_kg: float
@@ -57,7 +57,7 @@ class OsimBody:
 
 
 class Pose(NamedTuple):
-    """Rotation (3, 3) and place (3,) [m] of a frame in another."""
+    """Rotation R (3, 3) and position p (3,) [m] of a frame in another."""
 
     R: np.ndarray
     p: np.ndarray
@@ -65,12 +65,12 @@ class Pose(NamedTuple):
 
 @dataclass(frozen=True)
 class OsimAxis:
-    """One turn about, or translation along, an axis of a joint.
+    """One rotation about, or translation along, an axis of a joint.
 
     Attributes:
         direction: (3,) unit vector.
-        coordinate: name of what it is a function of; None for a constant.
-        function: of that coordinate.
+        coordinate: name of the coordinate that moves it; None if constant.
+        function: angle [rad] or displacement [m] by that coordinate.
     """
 
     direction: np.ndarray
@@ -83,13 +83,13 @@ class OsimJoint:
     """A joint, from its parent's frame F to its child's frame M.
 
     Attributes:
-        name, kind: of the file, such as "knee_r" and "CustomJoint".
-        parent, child: bodies; "ground" may be a parent.
-        X_PF, X_CM: F seen from the parent, M from the child.
-        turns, translations: of M in F, in this order.
+        name, kind: as in the file, such as "knee_r" and "CustomJoint".
+        parent, child: names of the bodies; "ground" may be a parent.
+        X_PF, X_CM: pose of F in the parent, and of M in the child.
+        turns, translations: rotations, then translations, of M in F.
         coordinates: names, in the order of the file.
-        ranges: (lower, upper) of each.
-        locked: whether each is held where it is.
+        ranges: (lower, upper) of each coordinate.
+        locked: whether each coordinate is locked.
     """
 
     name: str
@@ -108,7 +108,7 @@ class OsimJoint:
         """Pose of M in F: R (n, 3, 3) and p (n, 3) [m].
 
         Args:
-            q: coordinate -> values (n,); those left out are zero.
+            q: coordinate -> values (n,); missing ones are zero.
             n: number of states.
         """
         R, p = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
@@ -119,7 +119,7 @@ class OsimJoint:
         return R, p
 
     def rates(self, coordinate: str, q: Mapping[str, np.ndarray], n: int):
-        """How M turns and moves in F with one of the joint's coordinates.
+        """Partial velocities of M in F for one of the joint's coordinates.
 
         Args:
             coordinate: its name.
@@ -127,7 +127,7 @@ class OsimJoint:
             n: number of states.
 
         Returns:
-            Turn (n, 3) [rad] and motion (n, 3) [m] for one of the coordinate.
+            Angular (n, 3) [rad] and linear (n, 3) [m], per unit coordinate.
         """
         at = q.get(coordinate, np.zeros(n))
         turn, motion = np.zeros((2, n, 3))
@@ -151,7 +151,7 @@ class OsimJoint:
 
 @dataclass(frozen=True)
 class OsimCoupler:
-    """A coordinate that a constraint makes a function of another one."""
+    """A constraint: coordinate `dependent` = function of `independent`."""
 
     dependent: str
     independent: str
@@ -160,14 +160,14 @@ class OsimCoupler:
 
 @dataclass(frozen=True)
 class OsimModel:
-    """What a .osim file holds of a skeleton.
+    """The skeleton and markers of a .osim file.
 
     Attributes:
-        source: the file.
+        source: file name.
         gravity_m_s2: magnitude of gravity.
-        bodies: by name.
-        joints: parents before children.
-        markers: name -> (body, (3,) place in its frame [m]).
+        bodies: name -> body.
+        joints: all joints, parents before children.
+        markers: name -> (body, (3,) position in its frame [m]).
         couplers: constraints between two coordinates.
     """
 
@@ -180,11 +180,11 @@ class OsimModel:
 
     @property
     def mass_kg(self) -> float:
-        """Of all bodies."""
+        """Total mass of all bodies."""
         return sum(body.mass_kg for body in self.bodies.values())
 
     def joint_of(self, child: str) -> OsimJoint:
-        """The joint that a body hangs from.
+        """The joint whose child is a body.
 
         Raises:
             InputError: there is no such body.
@@ -198,10 +198,10 @@ class OsimModel:
         )
 
     def poses(self, q: Mapping[str, np.ndarray] | None = None, n: int = 1):
-        """Body -> R (n, 3, 3) and p (n, 3) in the ground [m].
+        """Body -> its R (n, 3, 3) and p (n, 3) [m] in the ground.
 
         Args:
-            q: coordinate -> values (n,); zero where left out. `couplers`
+            q: coordinate -> values (n,); missing ones are zero. `couplers`
                 are not applied.
             n: number of states.
         """
@@ -218,7 +218,7 @@ class OsimModel:
         return found
 
     def below(self, joint: OsimJoint) -> set[str]:
-        """Bodies that a joint carries."""
+        """Names of the bodies that a joint moves: its child and all below."""
         found = {joint.child}
         for other in self.joints:  # parents first
             if other.parent in found:
@@ -226,18 +226,18 @@ class OsimModel:
         return found
 
     def motion(self, coordinate: str, body: str, p_GQ, q, poses):
-        """How a point of a body moves with a coordinate.
+        """Partial velocities of a body and of a point on it.
 
         Args:
-            coordinate: its name.
-            body: that the point is fixed to.
+            coordinate: name of the coordinate that moves.
+            body: body that the point is fixed to.
             p_GQ: (n, 3) the point in the ground [m].
             q: coordinate -> values (n,).
-            poses: what `poses` gives of them.
+            poses: result of `poses(q, n)`.
 
         Returns:
-            Turn of the body (n, 3) and motion of the point (n, 3), in the
-            ground, for one of the coordinate.
+            Angular velocity of the body (n, 3) and velocity of the point
+            (n, 3), in the ground, per unit speed of the coordinate.
         """
         n = len(p_GQ)
         (joint,) = (j for j in self.joints if coordinate in j.coordinates)
@@ -258,8 +258,8 @@ def read_osim(path: str | Path) -> OsimModel:
     """Read a model of OpenSim 4.
 
     Raises:
-        InputError: it is no such file, of an older version, or holds a joint
-            or function that is not known.
+        InputError: another kind of file, an older version, or an unknown
+            joint or function.
     """
     try:
         root = ET.fromstring(read_text(path))
@@ -426,7 +426,7 @@ _AXES = tuple(f"{k}{i}" for k in ("rotation", "translation") for i in (1, 2, 3))
 
 
 def _custom(where: str, transform: ET.Element, names):
-    """Turns and translations of a SpatialTransform."""
+    """Rotation and translation axes (three each) of a SpatialTransform."""
     told = list(transform.iterfind("TransformAxis"))
     axes = {axis.get("name"): axis for axis in told}
     if set(axes) != set(_AXES) or len(told) != len(_AXES):
@@ -486,12 +486,12 @@ def _linear(slope: float, value: float) -> Function:
 
 
 def _simm_spline(x: np.ndarray, y: np.ndarray) -> Function:
-    """OpenSim's spline, straight beyond its ends.
+    """OpenSim's SimmSpline: cubic, and straight beyond its ends.
 
-    Cubic; third derivatives at its ends are those of the cubics through the
-    four outer points (G. E. Forsythe, M. A. Malcolm, C. B. Moler, Computer
-    Methods for Mathematical Computations, 1977, chapter 4). Two points make a
-    line, three have no such cubic: there the third derivative is zero.
+    The third derivatives at the ends are those of the cubics through the four
+    outer points (G. E. Forsythe, M. A. Malcolm, C. B. Moler, Computer Methods
+    for Mathematical Computations, 1977, chapter 4). Two points give a line; of
+    three, the third derivative at the ends is zero.
     """
     n = len(x)
     if len(y) != n or n < 2 or (np.diff(x) < 1e-9).any():
@@ -513,7 +513,7 @@ def _simm_spline(x: np.ndarray, y: np.ndarray) -> Function:
     last = slope[-1] + h[-1] * (2.0 * s[-1] + s[-2])
     rates = np.append(first, last)
     inner = CubicHermiteSpline(x, y, rates)
-    # Two straight pieces more, which go on beyond theirs.
+    # Add a straight piece at each end; PPoly extrapolates these.
     ends = np.array([x[0] - 1.0, x[-1] + 1.0])
     pieces = np.column_stack(
         [
@@ -534,7 +534,7 @@ def _divided(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def _ordered(path: str, joints: list[OsimJoint]) -> tuple[OsimJoint, ...]:
-    """Parents before children."""
+    """Joints sorted so that parents come before children."""
     children = [joint.child for joint in joints]
     for child in children:
         if children.count(child) > 1:
@@ -562,7 +562,7 @@ def _rotation(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 def _attitude(angles: np.ndarray) -> np.ndarray:
-    """Rotation matrix of body-fixed x, y, z turns."""
+    """Rotation matrix of body-fixed x, y, z Euler angles (3,) [rad]."""
     R = np.eye(3)
     for axis, angle in zip(np.eye(3), angles, strict=True):
         R = R @ _rotation(axis, np.array([angle]))[0]
@@ -570,7 +570,7 @@ def _attitude(angles: np.ndarray) -> np.ndarray:
 
 
 def _vector(text: str | None, size: int | None = 3) -> np.ndarray:
-    """Numbers of an element: `size` of them, or any number if None."""
+    """Numbers in an element's text: `size` of them, or at least one."""
     values = np.array((text or "").split(), dtype=float)
     wrong = len(values) != size if size is not None else not len(values)
     if wrong or not (np.abs(values) < _LARGEST).all():
@@ -588,11 +588,11 @@ def _name(element: ET.Element) -> str:
 
 
 def _last(path: str | None) -> str:
-    """Name that a path such as /bodyset/pelvis ends in."""
+    """Last part of a path such as /bodyset/pelvis."""
     return (path or "").strip().rsplit("/", 1)[-1]
 
 
-_TINY = 1e-12  # half an ulp of a turn is no turn
+_TINY = 1e-12  # smaller angles are rounding [rad]
 
 
 class OsimFile:
@@ -609,10 +609,10 @@ class OsimFile:
         self._names = {e.get("name") for e in self.model.iter()} - {None}
 
     def add(self, kind: str, element: ET.Element) -> None:
-        """Put an element into a set such as "ForceSet".
+        """Add an element to a set such as "ForceSet".
 
         Raises:
-            InputError: the model has something of its name.
+            InputError: the model already has an element of this name.
         """
         name = element.get("name")
         if name in self._names:
@@ -630,11 +630,11 @@ class OsimFile:
         objects.append(element)
 
     def body(self, name: str) -> ET.Element:
-        """The element of a body."""
+        """The XML element of a body."""
         return self.model.find(f"BodySet/objects/Body[@name='{name}']")
 
     def write(self, path: Path) -> None:
-        """Write all of it."""
+        """Write the model with its added elements."""
         ET.indent(self.root, "\t")
         ET.ElementTree(self.root).write(
             path, encoding="UTF-8", xml_declaration=True
@@ -642,12 +642,12 @@ class OsimFile:
 
 
 def text_of(values: Iterable[float]) -> str:
-    """Numbers with all their digits."""
+    """Numbers as text with all digits, separated by blanks."""
     return " ".join(repr(float(value) + 0.0) for value in values)
 
 
 def _element(kind: str, name: str, **children: str) -> ET.Element:
-    """An element of texts."""
+    """An XML element `kind` whose children hold texts."""
     made = ET.Element(kind, name=name)
     for tag, text in children.items():
         ET.SubElement(made, tag).text = text
@@ -655,13 +655,13 @@ def _element(kind: str, name: str, **children: str) -> ET.Element:
 
 
 def body(name: str, mass_kg: float, com_m, inertia_kg_m2) -> ET.Element:
-    """A body.
+    """Make a Body element.
 
     Args:
-        name: of it.
+        name: of the body.
         mass_kg: its mass.
-        com_m: (3,) centre of mass.
-        inertia_kg_m2: (3, 3) about it.
+        com_m: (3,) centre of mass in the body's frame.
+        inertia_kg_m2: (3, 3) about the centre of mass.
     """
     inertia = np.asarray(inertia_kg_m2)
     six = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
@@ -675,7 +675,7 @@ def body(name: str, mass_kg: float, com_m, inertia_kg_m2) -> ET.Element:
 
 
 def _frames(owner: ET.Element, ends: dict[str, tuple[str, Pose]]) -> None:
-    """Offset frames of a joint or force, by name: their bodies and poses."""
+    """Add offset frames to a joint or force: name -> (body, pose on it)."""
     frames = ET.SubElement(owner, "frames")
     for name, (on, pose) in ends.items():
         angles = Rotation.from_matrix(pose.R).as_euler("XYZ")
@@ -696,7 +696,7 @@ def joint(
     parent: tuple[str, Pose],
     child: tuple[str, Pose],
 ) -> ET.Element:
-    """A pin about the frames' z, or a weld without a coordinate."""
+    """Make a pin joint about the frames' z; a weld if without coordinate."""
     made = ET.Element("PinJoint" if coordinate else "WeldJoint", name=name)
     ends = {f"{name}_parent": parent, f"{name}_child": child}
     for end, frame in zip(("parent", "child"), ends, strict=True):
@@ -709,7 +709,7 @@ def joint(
 
 
 def half_space(name: str) -> ET.Element:
-    """The ground below y = 0."""
+    """Make the contact half space of the ground, below y = 0."""
     return _element(
         "ContactHalfSpace",
         name,
@@ -720,7 +720,7 @@ def half_space(name: str) -> ET.Element:
 
 
 def sphere(name: str, on: str, place_m, radius_m: float) -> ET.Element:
-    """A contact sphere, its centre at a place (3,) of a body."""
+    """Make a contact sphere, its centre at a position (3,) [m] of a body."""
     return _element(
         "ContactSphere",
         name,
@@ -734,12 +734,12 @@ def sphere(name: str, on: str, place_m, radius_m: float) -> ET.Element:
 def sphere_force(
     name: str, on: str, ground: str, values: dict[str, float]
 ) -> ET.Element:
-    """A SmoothSphereHalfSpaceForce.
+    """Make a SmoothSphereHalfSpaceForce.
 
     Args:
         name: of the force.
-        on, ground: contact sphere and half space.
-        values: OpenSim's names of its properties.
+        on, ground: names of the contact sphere and the half space.
+        values: OpenSim's name of a property -> value.
     """
     return _element(
         "SmoothSphereHalfSpaceForce",
@@ -757,15 +757,15 @@ def bushing(
     values: dict[str, Iterable[float] | str],
     kind: str = "BushingForce",
 ) -> ET.Element:
-    """A BushingForce, or another of its kind, between frames on two bodies.
+    """Make a bushing force between frames on two bodies.
 
     Args:
         name: of the force.
-        human, device: bodies and the frames on them; it acts along the axes
-            of the first.
-        values: OpenSim's names of its properties, three numbers each, or an
+        human, device: body and pose of the frame on it; the bushing's axes are
+            those of the first frame.
+        values: OpenSim's name of a property -> three numbers, or an
             expression.
-        kind: or "ExpressionBasedBushingForce".
+        kind: "BushingForce" or "ExpressionBasedBushingForce".
     """
     made = ET.Element(kind, name=name)
     ends = {f"{name}_human": human, f"{name}_device": device}
