@@ -1,10 +1,10 @@
-"""What a run leaves behind: its folder, JSON files, progress lines and verdict.
+"""Output of a run: its folder, JSON and CSV files, progress lines, verdict.
 
-There is one list of checks for every command. One of level "fail" that does
-not hold makes the command end with exit code 3 (1 where it is the solve
-itself), unless the user accepts it by name; one of level "note" is told and
-changes nothing. A result that does not hold carries `Verdict.mark` wherever it
-is shown, accepted or not.
+Every command makes one list of checks. If a check of level "fail" does not
+hold, the command ends with exit code 3 (1 if it is the solve itself), unless
+the user accepts the check by name. A check of level "note" is only printed. A
+result that does not hold carries `Verdict.mark` wherever it is shown, accepted
+or not.
 """
 
 from __future__ import annotations
@@ -33,32 +33,32 @@ import numpy as np
 from drake_exo.errors import InputError
 from drake_exo.files.tables import read_bytes
 
-# Names what a run wrote, so that replacing results never removes files that
-# somebody else put into the folder.
+# Lists the files that a run wrote, so that replacing results never removes
+# files that somebody else put into the folder.
 MANIFEST = ".drake_exo_files"
-# In it while a run writes: all there is its own but what else is named.
+# In a manifest while its run writes: the run owns all but the files listed.
 _WHOLE = "*"
-# Held while a run writes; the system lets go of it when the process ends,
-# however that is.
+# Locked while a run writes; the system releases the lock when the process
+# ends, however it does.
 LOCK = ".drake_exo_lock"
 _PARTIAL = ".partial"
 _LARGEST_ARRAYS = 2**31  # bytes of one file, unpacked
 
 
 class OutputFolder:
-    """A folder of results that never mixes two runs.
+    """A folder of results that never mixes those of two runs.
 
-    Use as a context manager; `path` is where to write, from the start:
+    Use it as a context manager, which gives the folder to write into:
 
         with prepare_output_folder("results", force=False) as folder:
             write_json(folder / "summary.json", summary)
 
-    A fresh folder is written in place, so an interrupted run leaves its best
-    so far there. With results already present (`force`), the new ones grow in
-    `NAME.partial` beside it and replace the old ones at the end; a run that
-    fails, or is stopped, leaves the old results untouched and its own in
-    `NAME.partial`; one that fails before it wrote anything takes away the
-    folder that it made for them.
+    A fresh folder is written in place, so that an interrupted run leaves its
+    best result there. If results are already present (`force`), the new ones
+    are written to `NAME.partial` beside it and replace the old ones at the
+    end. A run that fails or is stopped leaves the old results untouched and
+    its own in `NAME.partial`. A run that fails before it has written anything
+    removes the folder that it made.
     """
 
     def __init__(self, target: Path, path: Path, lock: int, made: bool):
@@ -66,7 +66,7 @@ class OutputFolder:
         self.path = path
         self._lock = lock
         self._final = True
-        # What somebody else put there is nobody's to remove.
+        # Files that no run wrote are never removed.
         self._others = _files(path) - _own(path)
 
     def __enter__(self) -> Path:
@@ -77,7 +77,7 @@ class OutputFolder:
             if kind is None and (self._final or self.path == self.target):
                 self.commit()
             elif self.path == self.target:
-                # What ended the run matters more than a full disk.
+                # A full disk must not hide the error that ended the run.
                 with contextlib.suppress(OSError):
                     _write_manifest(self.target, self._written())
         finally:
@@ -86,13 +86,13 @@ class OutputFolder:
                 self._withdraw()
 
     def _withdraw(self) -> None:
-        """A run that wrote nothing leaves no folder that it made."""
+        """Remove the folder that the run made, if it is still empty."""
         with contextlib.suppress(OSError):
             (self.target / MANIFEST).unlink(missing_ok=True)
             self.target.rmdir()
 
     def end(self, code: int) -> int:
-        """The command's exit code; what was not solved replaces nothing."""
+        """Note and return the exit code; unsolved replaces no old results."""
         self._final = code in (0, FAILS_CODE)
         return code
 
@@ -100,10 +100,10 @@ class OutputFolder:
         return _files(self.path) - self._others
 
     def commit(self) -> None:
-        """Make the results final: replace old ones, note what was written.
+        """Make the results final: replace old ones and write the manifest.
 
         Raises:
-            InputError: a file of somebody else has the name of a result.
+            InputError: a file that no run wrote has the name of a result.
         """
         written = self._written()
         if self.path != self.target:
@@ -137,14 +137,14 @@ def prepare_output_folder(
 
     Args:
         path: the folder.
-        force: replace results in it.
-        resume: go on in it, or in what a run with `force` left of its own.
-        reads: folders that the run is made of.
+        force: replace the results in it.
+        resume: continue in it or, with `force`, in what `NAME.partial` holds.
+        reads: files and folders that the run reads, and must not replace.
 
     Raises:
-        InputError: it already holds files and `force` is not set, one of
-            `reads` lies in it or where new results grow, somebody's file
-            does, it cannot be created, or another run is writing there.
+        InputError: it holds files and neither `force` nor `resume` is set;
+            `force` would replace one of `reads`; `NAME.partial` has a file
+            that no run wrote; it cannot be created; or another run uses it.
     """
     target = Path(path)
     replaced = [target, _beside(target)] if force else [target]
@@ -175,7 +175,7 @@ def prepare_output_folder(
 
 
 def _place(target: Path, force: bool, resume: bool) -> Path:
-    """Where to write what ends up in `target`, ready for it."""
+    """Folder to write to: target, or `NAME.partial`, emptied if no resume."""
     occupied = bool(_files(target))
     if occupied and not (force or resume):
         raise InputError(
@@ -194,22 +194,22 @@ def _place(target: Path, force: bool, resume: bool) -> Path:
     if occupied and force and (partial.is_dir() or not resume):
         place = partial
     place.mkdir(parents=True, exist_ok=True)
-    # Before hours of work, not after.
+    # Written first, so that an unwritable folder fails before hours of work.
     _write_manifest(place, {_WHOLE, *(_files(place) - _own(place))})
     return place
 
 
 def _beside(target: Path) -> Path:
-    """Where new results grow; "." has no name, its whole path has."""
+    """Path of `NAME.partial`; a target like "." is resolved to its name."""
     whole = Path(os.path.realpath(target))
     named = target if target.name not in ("", "..") else whole
     return named.with_name(whole.name + _PARTIAL)
 
 
 def summaries(folder: Path) -> list[Path]:
-    """`summary.json` of all results below a folder, in the order of paths.
+    """Paths of `summary.json` of all results below a folder, sorted.
 
-    Without those that a stopped run left beside older ones, in `NAME.partial`.
+    Without those that a stopped run left in `NAME.partial`.
     """
     found = sorted(Path(folder).rglob("summary.json"))
     return [
@@ -234,7 +234,7 @@ def _release(folder: Path, lock: int) -> None:
 
 
 def _locked(folder: Path) -> int:
-    """Descriptor of the folder's lock."""
+    """Lock a folder and return the lock's file descriptor."""
     path = folder / LOCK
     while True:
         lock = os.open(path, os.O_CREAT | os.O_RDWR, 0o644)
@@ -243,7 +243,7 @@ def _locked(folder: Path) -> int:
             if os.path.samestat(os.fstat(lock), os.stat(path)):
                 return lock
         except FileNotFoundError:
-            pass  # a run that ended meanwhile has taken its file away
+            pass  # a run that just ended has removed the file; try again
         except BlockingIOError:
             os.close(lock)
             raise InputError(
@@ -255,10 +255,10 @@ def _locked(folder: Path) -> int:
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep a folder to one run.
+    """Lock a folder, so that only one run writes there.
 
     Raises:
-        InputError: another run has it.
+        InputError: another run is writing there.
     """
     lock = _locked(folder)
     try:
@@ -270,10 +270,10 @@ def locked(folder: Path) -> Iterator[None]:
 def _read_manifest(folder: Path) -> set[str]:
     place = folder / MANIFEST
     text = place.read_bytes() if place.is_file() else b""
-    # Of a damaged one what is still the name of a file.
+    # Of a damaged manifest, use the lines that are still file names.
     lines = os.fsdecode(text).split("\n")
     names = {line.replace("\0", "\n") for line in lines if line}
-    # A name means something in the folder, nothing beyond it.
+    # Ignore names that point outside the folder.
     whole = folder.resolve()
     return {
         name
@@ -283,22 +283,22 @@ def _read_manifest(folder: Path) -> set[str]:
 
 
 def _own(folder: Path) -> set[str]:
-    """What runs have written into a folder, finished or not."""
+    """Names of the files that runs, finished or not, wrote into a folder."""
     listed = _read_manifest(folder)
     return _files(folder) - listed if _WHOLE in listed else listed
 
 
 def _write_manifest(folder: Path, names: set[str]) -> None:
-    # A user's file may be called anything, a line break (told as \0) included.
+    # A file's name may contain a line break, which is written as \0.
     lines = (name.replace("\n", "\0") + "\n" for name in sorted(names))
     (folder / MANIFEST).write_bytes(os.fsencode("".join(lines)))
 
 
 def write_json(path: str | Path, obj: Any) -> None:
-    """Write `obj` as JSON with sorted keys, whole or not at all.
+    """Write `obj` as JSON with sorted keys, atomically.
 
-    Dataclasses, numpy arrays and scalars, paths, tuples and sets are
-    understood. JSON has no NaN nor infinity: they become null.
+    Accepts dataclasses, numpy arrays and scalars, paths, tuples and sets.
+    JSON has neither NaN nor infinity: they become null.
     """
     text = json.dumps(
         _jsonable(obj),
@@ -312,7 +312,7 @@ def write_json(path: str | Path, obj: Any) -> None:
 
 
 def replace_file(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all."""
+    """Write a file atomically: the new content entirely, or the old one."""
     draft = path.with_name(path.name + ".tmp")
     try:
         draft.write_bytes(data)
@@ -322,7 +322,7 @@ def replace_file(path: Path, data: bytes) -> None:
 
 
 def write_csv(path: Path, columns: dict[str, Sequence]) -> None:
-    """Columns of equal length under a header line."""
+    """Write columns of equal length as CSV under a header line."""
 
     def shown(value):
         is_number = not isinstance(value, str | bool | int)
@@ -336,10 +336,10 @@ def write_csv(path: Path, columns: dict[str, Sequence]) -> None:
 
 
 def checksum(obj: Any) -> str:
-    """Sixteen digits that tell contents apart: JSON, numbers to six digits.
+    """Checksum (16 hexadecimal digits) of contents, for comparison.
 
-    Other machines round otherwise; six digits are the same on all. Files
-    count by their names, wherever they lie.
+    Numbers count to six significant digits, which machines that round
+    differently share. Paths count by their file names only.
 
     >>> checksum({"mass_kg": 75.0}) == checksum({"mass_kg": 75.0 + 1e-9})
     True
@@ -354,19 +354,19 @@ def _rounded(value: Any) -> Any:
         return {key: _rounded(item) for key, item in value.items()}
     if isinstance(value, list):
         return [_rounded(item) for item in value]
-    # Zero has no sign here.
+    # Adding 0.0 turns -0.0 into 0.0.
     return float(f"{value:.6g}") + 0.0 if isinstance(value, float) else value
 
 
 def read_json(path: str | Path, remedy: str) -> Any:
-    """What a JSON file holds.
+    """Read a JSON file.
 
     Args:
         path: the file.
-        remedy: ends the message, such as "run it again".
+        remedy: advice that ends the message, such as "run it again".
 
     Raises:
-        InputError: it cannot be read, or is no JSON.
+        InputError: it cannot be read, or is not JSON.
     """
     data = read_bytes(path, remedy)
     try:
@@ -376,16 +376,16 @@ def read_json(path: str | Path, remedy: str) -> Any:
 
 
 def read_arrays(path: str | Path, remedy: str) -> dict[str, np.ndarray]:
-    """All arrays of a .npz file; arguments and errors as `read_json`.
+    """Read all arrays of a .npz file; arguments and errors as `read_json`.
 
-    The file is checked as a whole before any array is believed: its
-    checksums, and that it holds numbers or text alone.
+    Returns nothing unless the whole file is sound: its checksums hold, it
+    unpacks to at most 2 GiB, and it holds only numbers and text.
     """
     whole = io.BytesIO(read_bytes(path, remedy))
     try:
         with zipfile.ZipFile(whole) as parts:
             size = sum(part.file_size for part in parts.infolist())
-    except Exception as error:  # whatever damage makes of a zip
+    except Exception as error:  # damage may raise anything
         raise InputError(f"{path}: is damaged; {remedy}") from error
     if size > _LARGEST_ARRAYS:
         raise InputError(
@@ -396,7 +396,7 @@ def read_arrays(path: str | Path, remedy: str) -> dict[str, np.ndarray]:
     try:
         with np.load(whole, allow_pickle=False) as data:
             return {name: data[name] for name in data.files}
-    except Exception as error:  # and of an array
+    except Exception as error:  # likewise
         raise InputError(f"{path}: is damaged; {remedy}") from error
 
 
@@ -406,13 +406,13 @@ def check_arrays(
     shapes: Mapping[str, tuple],
     remedy: str,
 ) -> None:
-    """Refuse arrays of other types or shapes than a file should hold.
+    """Refuse arrays that are missing or of a wrong type or shape.
 
     Args:
-        path: of the file, for messages.
-        arrays: what it holds.
-        shapes: name -> sizes; letters stand for sizes that must agree.
-            A name ending in ":int" is of whole numbers, others are floats.
+        path: the file, for messages.
+        arrays: name -> array, as read.
+        shapes: name -> sizes; letters stand for sizes that must agree. A name
+            ending in ":int" must hold integers, others floats.
         remedy: as in `read_json`.
 
     Raises:
@@ -459,16 +459,16 @@ def _jsonable(value: Any) -> Any:
 
 
 class Progress:
-    """Progress of one job: a line now and then, to a terminal or a pipe.
+    """Prints progress lines of one job, at most one per interval.
 
-    Nothing is printed for jobs shorter than `interval_seconds`.
+    A job shorter than `interval_seconds` prints nothing.
 
     Args:
         title: begins every line.
         total: number of steps, if known.
         interval_seconds: least time between two lines.
-        stream: where to print; by default sys.stdout of the moment.
-        clock: seconds, monotonic; for tests.
+        stream: where to print; by default the current sys.stdout.
+        clock: monotonic clock [s]; replaced in tests.
     """
 
     def __init__(
@@ -520,17 +520,17 @@ Level = Literal["fail", "note"]
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that a result has to hold.
+    """One criterion of a result, and whether it holds.
 
     Attributes:
-        name: by which it is accepted; dotted where several are of one kind.
+        name: by which the user accepts it; dotted if several are of a kind.
         holds: whether it does.
-        value: what was found, in `unit`; None where it is no number.
-        limit: what it was held against, likewise.
-        unit: of both.
+        value: found, in `unit`; None if it is not a number.
+        limit: with which `value` was compared, likewise.
+        unit: of value and limit.
         where: trial, signal or file.
-        sentence: what is wrong and its likely cause; empty where it holds.
-        level: whether a result that does not hold it fails.
+        sentence: what is wrong and its likely cause; empty if it holds.
+        level: "fail" if the result fails with it, "note" if not.
     """
 
     name: str
@@ -553,7 +553,7 @@ class Verdict:
 
     Attributes:
         checks: in the order in which they were made.
-        accepted: names, or beginnings of dotted ones, that the user accepts.
+        accepted: names of checks, or dotted beginnings, that the user accepts.
 
     >>> audit = Check("audit", False, 2.5, 1.0, "N", "rise1")
     >>> made = Verdict((Check("solved", True), audit))
@@ -575,7 +575,7 @@ class Verdict:
 
     @property
     def refused(self) -> tuple[Check, ...]:
-        """Those of them that nobody accepted."""
+        """Failing checks that the user has not accepted."""
         return tuple(
             c for c in self.failing if not is_accepted(c.name, self.accepted)
         )
@@ -594,9 +594,9 @@ class Verdict:
 
     @property
     def exit_code(self) -> int:
-        """Of the command: 0, 1 (not solved) or 3 (a check fails).
+        """Exit code of the command: 0, 1 (not solved) or 3 (a check fails).
 
-        What was not solved stays so, accepted or not.
+        A failed solve gives 1 even if the user accepts it.
         """
         if self.word == UNSOLVED:
             return NOT_SOLVED_CODE
@@ -604,7 +604,7 @@ class Verdict:
 
     @property
     def mark(self) -> str:
-        """One line for figures, tables and pages; empty where all holds."""
+        """Warning line for figures, tables and pages; empty if all holds."""
         return mark_of(self.word, [_short(c) for c in self.failing])
 
     def summary(self) -> dict[str, Any]:
@@ -616,10 +616,10 @@ class Verdict:
         }
 
     def text(self, color: bool | None = None) -> str:
-        """One table: a line for each kind that holds, one for each failure.
+        """The verdict as lines: one per kind that holds, one per failure.
 
         Args:
-            color: failures in red; by default on a terminal.
+            color: whether failures are red; by default on a terminal.
         """
         color = sys.stdout.isatty() if color is None else color
         lines = [f"verdict: {self.word}"]
@@ -644,14 +644,14 @@ class Verdict:
 
 
 def mark_of(word: str, failed: Sequence[str]) -> str:
-    """See `Verdict.mark`; of what a file says: its word, what failed."""
+    """A `Verdict.mark` from the verdict's word and the failed checks."""
     if word == HOLDS:
         return ""
     return f"{word.upper()}: {'; '.join(failed)}"
 
 
 def joined_mark(marks: Mapping[str, str]) -> str:
-    """The mark of what shows several results, whose marks these are by name.
+    """Common mark of several results shown together: name -> own mark.
 
     >>> joined_mark({"a": "", "b": "DOES NOT HOLD: x", "c": "NOT SOLVED: y"})
     'DOES NOT HOLD: b: x; c: NOT SOLVED: y'
@@ -662,14 +662,14 @@ def joined_mark(marks: Mapping[str, str]) -> str:
 
 
 def write_text(path: Path, text: str, mark: str = "") -> None:
-    """Write a text for a reader, under its mark if it has one."""
+    """Write a text file, headed by the result's mark if it has one."""
     text = f"{mark}\n\n{text}" if mark else text
     path.write_text(text + "\n", encoding="utf-8")
 
 
-# Colours that stay apart in print and for colour-blind readers (Okabe, Ito).
+# Distinct in print and for colour-blind readers (Okabe, Ito).
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-# Of every figure.
+# matplotlib settings of every figure.
 STYLE = {
     "font.size": 9,
     "axes.titlesize": "medium",
@@ -688,13 +688,13 @@ def save_figure(path: Path, figure: Figure, mark: str = "") -> None:
     """Write a figure in `STYLE`; the same input gives the same bytes.
 
     Args:
-        path: of the picture.
+        path: the picture's file.
         figure: to be written.
-        mark: `Verdict.mark`: across it, under it, and as its description.
+        mark: `Verdict.mark`: drawn across, printed below, and in the metadata.
     """
     import matplotlib
 
-    # Without the software's name, and the time.
+    # Leave out the time (PDF) or the software's version, which vary.
     unsaid = "CreationDate" if path.suffix == ".pdf" else "Software"
     metadata = {unsaid: None}
     if mark:
@@ -725,9 +725,9 @@ def _draw_mark(figure: Figure, mark: str) -> None:
 
 
 def stored_mark(summary: Mapping[str, Any]) -> str:
-    """The mark of a result by its summary.json; empty where it holds.
+    """The mark of a stored result by its summary.json; empty if it holds.
 
-    A summary without a verdict, as earlier versions wrote it, is marked.
+    A summary without checks, as earlier versions wrote it, is marked, too.
     """
     found = stored(summary)
     if found is None:
@@ -736,10 +736,10 @@ def stored_mark(summary: Mapping[str, Any]) -> str:
 
 
 def stored(summary: Mapping[str, Any]) -> Verdict | None:
-    """The verdict that a summary.json holds, None where it holds none.
+    """The verdict in a summary.json; None if the summary has no checks.
 
     Raises:
-        InputError: it is damaged.
+        InputError: its checks are damaged.
     """
     if "checks" not in summary:
         return None
@@ -764,7 +764,7 @@ def stored(summary: Mapping[str, Any]) -> Verdict | None:
 
 
 def is_accepted(name: str, accepted: Iterable[str]) -> bool:
-    """Whether a check's name, or a beginning of it, is among the accepted.
+    """Whether a check's name, or a dotted beginning of it, is accepted.
 
     >>> is_accepted("plausibility.mass", ["plausibility"])
     True
@@ -794,7 +794,7 @@ def _amount(value: float | None, unit: str) -> str:
 
 
 def _holding(checks: Iterable[Check]) -> list[tuple[str, ...]]:
-    """A row for each kind: the check that came nearest to its limit."""
+    """One row per kind of check that holds: count, and nearest to limit."""
     groups: dict[str, list[Check]] = {}
     for c in checks:
         if c.holds:
@@ -811,7 +811,7 @@ def _holding(checks: Iterable[Check]) -> list[tuple[str, ...]]:
 
 
 def _room(check: Check) -> float:
-    """How far from its limit, in units of the limit: infinite without one."""
+    """Distance of a check's value from its limit, relative; or infinity."""
     if check.value is None or not check.limit:
         return float("inf")
     return abs(check.value - check.limit) / abs(check.limit)
