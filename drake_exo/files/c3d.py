@@ -493,8 +493,7 @@ class _Plate:
 def _of_four_sensors(f: np.ndarray, origin: np.ndarray):
     """Force and moment from Kistler's channels Fx12 Fx34 Fy14 Fy23 Fz1..4.
 
-    About the middle of the four sensors; ORIGIN holds their distances a, b
-    from it along x and y, and their depth.
+    About the sensors' middle; ORIGIN holds their distances a, b and depth.
     """
     a, b = np.abs(origin[:2])
     x12, x34, y14, y23, z1, z2, z3, z4 = f.T

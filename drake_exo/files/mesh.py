@@ -100,8 +100,7 @@ def read_cells(
         read: the file's reader, by default chosen by its suffix.
 
     Returns:
-        Nodes (n, 3) in the file's unit, and the cells' node indices (c, k); c
-        may be 0.
+        Nodes (n, 3), file's unit; node indices of the cells (c, k), c may be 0.
 
     Raises:
         InputError: unreadable or damaged, nodes that are not finite, or cells

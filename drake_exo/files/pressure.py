@@ -1,4 +1,4 @@
-"""Pressure exports: Novel's .asc (pedar, pliance) and plain CSV matrices."""
+"""Read pressure files: Novel's .asc (pedar, pliance) and CSV matrices."""
 
 import re
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from drake_exo.files.tables import (
     shown,
 )
 
-_LARGEST_PA = 5e6  # mats that are worn end at some 1.2 MPa
-_RATE_ERROR = 0.01  # of the header's, beside half a frame
+_LARGEST_PA = 5e6  # wearable mats measure up to some 1.2 MPa
+_RATE_ERROR = 0.01  # relative error of the header's rate, beside half a frame
 _PASCALS = {"pa": 1.0, "kpa": 1e3, "n/cm2": 1e4, "n/cm^2": 1e4}
 
 
@@ -54,10 +54,10 @@ class PressureRecording:
 
 
 def read_novel_asc(path: str | Path) -> PressureRecording:
-    """Read Novel's text export of one recording.
+    """Read Novel's text export (.asc) of one recording.
 
-    Cells are grouped as the mask definition says ("left insole: 1,2,...");
-    without one, all are one mat.
+    Cells are grouped by the mask definition ("left insole: 1,2,..."); without
+    one, all belong to the group "mat".
 
     Raises:
         InputError: another format, unknown unit, truncated or damaged rows,
@@ -74,7 +74,7 @@ def read_novel_asc(path: str | Path) -> PressureRecording:
             "export ASCII from Novel's software"
         )
     head = "\n".join(lines[:start])
-    # Names of files and sensors say units, too, or what looks like one.
+    # Only lines on pressure: names of files and sensors may look like units.
     values = re.findall(r"^\s*pressure.*", head, re.IGNORECASE | re.MULTILINE)
     scale = _unit(path, "\n".join(values))
     rate = _number(path, head, r"scanning rate \[hz\]:\s*([\d.]+)", "rate")
@@ -100,18 +100,18 @@ def read_novel_asc(path: str | Path) -> PressureRecording:
 def read_pressure_csv(
     path: str | Path, mats: dict[str, tuple[int, int]]
 ) -> PressureRecording:
-    """Read a CSV table: time, then each mat's cells row by row.
+    """Read a CSV table of time and each mat's cells, row by row.
 
-    The first line names the columns, its first cell the time, in s or ms,
-    and the unit of pressure: "time [s]; kPa".
+    The first line names the columns. Its first cell states the units of time
+    (s or ms) and pressure: "time [s]; kPa".
 
     Args:
         path: the file.
         mats: name -> (rows, columns), in the order of the columns.
 
     Raises:
-        InputError: as `read_novel_asc`; or the file has another number of
-            cells than the mats.
+        InputError: as `read_novel_asc`; or the numbers of cells in file and
+            mats differ.
     """
     lines = read_text(path).splitlines()
     used = [i for i, line in enumerate(lines) if line.strip()]
@@ -137,14 +137,14 @@ _PLACE = ["row", "column", "x", "y", "z"]
 
 
 def read_places(path: str | Path) -> np.ndarray:
-    """Read a CSV table of where a mat's cells lie.
+    """Read a CSV table of the positions of a mat's cells.
 
     Returns:
-        Row, column, x, y and z of each (n, 5), in the unit of the file.
+        Row, column (from 1), x, y and z of each cell (n, 5), unit of the file.
 
     Raises:
         InputError: unreadable, columns in another order, damaged rows, or a
-            place that is missing or out of all bounds.
+            position that is missing or beyond 1e6.
     """
     head, *rows = read_text(path).splitlines() or [""]
     named = [name.strip().lower() for name in head.split(",")]
@@ -166,12 +166,12 @@ def read_places(path: str | Path) -> np.ndarray:
 def split(
     path, cells: int, mats: dict[str, tuple[int, int]]
 ) -> dict[str, np.ndarray]:
-    """Columns of each mat, one after the other.
+    """Mat -> its columns (rows * columns,), for mats one after the other.
 
     Args:
         path: for messages.
-        cells: number of columns.
-        mats: name -> (rows, columns).
+        cells: number of cells in the file.
+        mats: name -> (rows, columns), in the order of the file.
 
     Raises:
         InputError: the file has another number of cells than the mats.
@@ -238,7 +238,7 @@ def _table(path, lines, start: int, width: int, separator) -> np.ndarray:
 
 
 def _groups(path, head: str, cells: list[str]) -> dict[str, np.ndarray]:
-    """Columns of each mat of the mask definition, in its order."""
+    """Mat -> its columns, by the header's mask definition."""
     groups, at, told = {}, 0, []
     masks = re.findall(r"^(.+?):\s*((?:\d+,\s*)*\d+),?\s*$", head, re.MULTILINE)
     for name, numbers in masks:

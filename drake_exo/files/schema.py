@@ -1,15 +1,15 @@
-"""Typed reading of YAML files into frozen dataclasses.
+"""Read YAML files into frozen dataclasses, with types checked.
 
 Every mistake is reported in one sentence with the file and the line: unknown
 keys (with the nearest known one), duplicate and missing keys, wrong types,
 numbers that are not finite or out of bounds.
 
-Unit and bounds stand in a field's metadata and are checked for the value itself
-or, in a list, tuple or dict, for each element:
+A field's metadata holds its unit and bounds; these apply to the value or, in a
+list, tuple or dict, to each element:
 
     mass_kg: float = quantity("kg", above=0.0)
 
-There "key" is the name in the file, if it is another one than the field's.
+The metadata "key" is the name in the file, if it is not the field's own.
 
 A dataclass may check several fields together by raising `InputError` or
 `ValueError` in `__post_init__`.
@@ -39,14 +39,14 @@ T = TypeVar("T")
 
 _TRUE, _FALSE = ("true", "yes", "on"), ("false", "no", "off")
 _NOT_FINITE = ("nan", "inf", "infinity")
-_LARGEST = 1e150  # its square is still a number
+_LARGEST = 1e150  # its square does not overflow
 _LONGEST = 40  # characters of a value in a message
-# No file can be called so, and of half a surrogate no file can be written.
+# Not allowed in file names; a lone surrogate cannot even be written to a file.
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 class _Values(yaml.SafeLoader):
-    """Of values that may be anything; a date is text, as it is elsewhere."""
+    """Loader for values of type Any; a date stays text."""
 
 
 _Values.add_constructor(
@@ -58,8 +58,7 @@ def load(path: str | Path, cls: type[T]) -> T:
     """Read the YAML file `path` as an instance of the dataclass `cls`.
 
     Raises:
-        InputError: the file cannot be read, or says something that `cls`
-            does not allow.
+        InputError: the file cannot be read, or does not fit `cls`.
     """
     try:
         text = read_bytes(path).decode("utf-8")
@@ -71,7 +70,7 @@ def load(path: str | Path, cls: type[T]) -> T:
 
 
 def load_text(text: str, cls: type[T], name: str = "<text>") -> T:
-    """Read YAML `text` as an instance of `cls`; `name` stands in messages.
+    """Read YAML `text` as an instance of `cls`; messages begin with `name`.
 
     Raises:
         InputError: as `load`.
@@ -94,10 +93,10 @@ def load_text(text: str, cls: type[T], name: str = "<text>") -> T:
 
 
 def check(settings: T, cls: type[T], name: str) -> T:
-    """Settings made in Python as a file would say them: a dict is a group.
+    """Copy of settings made in Python, checked like a file's; see `load`.
 
     Raises:
-        InputError: they are none of `cls`, or hold what it does not allow.
+        InputError: `settings` is not of `cls`, or has a value it forbids.
     """
     check_type(settings, cls, name)
     try:
@@ -110,13 +109,13 @@ def check(settings: T, cls: type[T], name: str) -> T:
 
 
 def checked(given, cls: type, what: str, usual=None):
-    """Settings that somebody gives, see `check`; else the usual ones.
+    """Given settings, checked as by `check`; or defaults if None.
 
     Args:
-        given: of the class, or None.
-        cls: of the settings.
-        what: the argument's name.
-        usual: those that hold otherwise; by default the class's own.
+        given: an instance of `cls`, or None.
+        cls: dataclass of the settings.
+        what: name of the argument, for messages.
+        usual: settings used if `given` is None; by default `cls()`.
     """
     if given is None:
         return usual or cls()
@@ -124,16 +123,16 @@ def checked(given, cls: type, what: str, usual=None):
 
 
 def dump_text(obj: Any) -> str:
-    """YAML text of a dataclass instance, which `load_text` reads back."""
+    """YAML text of a dataclass instance; `load_text` reads it back."""
     return yaml.safe_dump(
         _plain(obj), sort_keys=False, allow_unicode=True, width=80
     )
 
 
 def _plain(value: Any, hint: Any = None) -> Any:
-    """Dataclasses, tuples and paths as what YAML has of its own.
+    """Dataclasses, tuples, paths and arrays as YAML's dicts, lists and texts.
 
-    Of a subclass of what is declared, what is declared.
+    Of an instance of a subclass, only the fields of the declared class.
     """
     if dataclasses.is_dataclass(value):
         known = dataclasses.is_dataclass(hint) and isinstance(value, hint)
@@ -154,7 +153,7 @@ def _plain(value: Any, hint: Any = None) -> Any:
 
 
 def paths_of(value: Any) -> list[Path]:
-    """All paths in dataclasses and what they hold, as they are written."""
+    """All paths in a dataclass, mapping or list and below, as written."""
     if dataclasses.is_dataclass(value):
         value = [getattr(value, f.name) for f in dataclasses.fields(value)]
     elif isinstance(value, Mapping):
@@ -165,10 +164,10 @@ def paths_of(value: Any) -> list[Path]:
 
 
 class _Settings(yaml.representer.SafeRepresenter):
-    """Values of Python as the nodes that a file of them would have."""
+    """Turns Python values into the YAML nodes that a file would give."""
 
     def represent_str(self, data: str) -> yaml.Node:
-        """Quoted, so that a text is no number."""
+        """Quote texts, so that none is read as a number."""
         return self.represent_scalar("tag:yaml.org,2002:str", data, style='"')
 
 
@@ -176,13 +175,13 @@ _Settings.add_representer(str, _Settings.represent_str)
 
 
 class _Reader:
-    """Turns YAML nodes into typed values; knows the file's name."""
+    """Turns YAML nodes into typed values; `name` is the file in messages."""
 
     def __init__(self, name: str):
         self.name = name
 
     def error(self, node: yaml.Node, message: str) -> InputError:
-        mark = node.start_mark  # of settings made in Python there is none
+        mark = node.start_mark  # None for settings made in Python
         line = f":{mark.line + 1}" if mark else ""
         return InputError(f"{self.name}{line}: {message}")
 
@@ -254,7 +253,7 @@ class _Reader:
         try:
             return cls(**values)
         except (InputError, ValueError) as error:
-            # A sentence that begins with a key is told where that stands.
+            # A message that begins with a key gets the line of that key.
             named = re.match(r"\w*", str(error)).group()
             raise self.error(
                 items.get(named, [node])[0],
@@ -274,8 +273,8 @@ class _Reader:
                 return self.read(node, option, where, meta)
             except InputError as error:
                 errors.append(error)
-        # The message of the option that understood the most is the one that
-        # helps; a mapping was meant as a dataclass, a list as a sequence.
+        # Report the error of the option that was meant: a dataclass if the
+        # node is a mapping, a sequence if it is a list.
         fitting = [
             e
             for e, o in zip(errors, options, strict=True)
@@ -402,29 +401,29 @@ class _Reader:
 def quantity(
     unit: str | None, default: Any = dataclasses.MISSING, **bounds: float
 ) -> Any:
-    """A field in a unit, within bounds as `errors.check_bounds` names them."""
+    """A dataclass field with unit, and bounds as of `errors.check_bounds`."""
     metadata = {"unit": unit, **bounds}
     return dataclasses.field(default=default, metadata=metadata)
 
 
 def positive(unit: str, default=None) -> Any:
-    """A field of settings above 0."""
+    """A dataclass field with unit, whose value must be above 0."""
     return quantity(unit, default, above=0.0)
 
 
 def not_negative(unit: str, default: float) -> Any:
-    """A field of settings of at least 0."""
+    """A dataclass field with unit, whose value must be at least 0."""
     return quantity(unit, default, minimum=0.0)
 
 
 def keys(cls: type) -> dict[str, Any]:
-    """Names of a dataclass's fields in a file, each with its type."""
+    """Key in a file -> type, of a dataclass's fields."""
     hints = typing.get_type_hints(cls)
     return {_key(f): hints[f.name] for f in dataclasses.fields(cls) if f.init}
 
 
 def exactly_one(block, names) -> None:
-    """Refuse a block with none or several of the keys `names`."""
+    """Refuse settings in which none or several of `names` are set."""
     given = [n for n in names if getattr(block, n) is not None]
     if len(given) != 1:
         raise InputError(
@@ -434,7 +433,7 @@ def exactly_one(block, names) -> None:
 
 
 def _key(field: dataclasses.Field) -> str:
-    """Its name in the file; Python's reserved words are not for fields."""
+    """A field's key in the file, which may be a word Python reserves."""
     return field.metadata.get("key", field.name)
 
 

@@ -1,10 +1,10 @@
-"""What laboratory files become: tables, markers and force plates over time.
+"""Tables, markers and force plates over time, and checks common to readers.
 
-Missing values are NaN until somebody asks for the column: then they are
-refused, with the place of the gap.
+Missing values are NaN. A column or marker with gaps is refused only when it is
+asked for, with the time of the gap.
 
-Text files of numbers are read so that every mistake is named by its line; a
-CSV table of signals has one line of names with units, then numbers:
+Mistakes in text files of numbers are reported with their line. A CSV table of
+signals has one line of names with units, then numbers:
 
 time [s],exo_ankle [deg],exo_knee [deg],exo_hip [deg]
 """
@@ -22,17 +22,17 @@ import numpy as np
 from drake_exo.errors import InputError, nearest, path_of, printable
 
 Reader = TypeVar("Reader", bound=Callable)
-# No measurement is larger in any unit; squares and sums stay numbers.
+# Larger than any measurement in any unit, but squares do not overflow.
 _LARGEST = 1e30
 _SHOWN = 40  # characters of a cell in a message
 
 
 def read_bytes(path: str | Path, remedy: str = "check the path") -> bytes:
-    """What a file holds.
+    """Read the bytes of a file.
 
     Raises:
-        InputError: it cannot be read, or is no file (a device or a pipe
-            may never end); `remedy` ends the sentence.
+        InputError: it cannot be read, or is not a regular file (a device or a
+            pipe may never end); `remedy` ends the message.
     """
     path = path_of(path, "path")
     try:
@@ -48,14 +48,14 @@ def read_bytes(path: str | Path, remedy: str = "check the path") -> bytes:
 
 
 def kept(count: int) -> Callable[[Reader], Reader]:
-    """Keep what a reader made of its last files while these stay the same.
+    """Decorator: cache a reader's results while the files do not change.
 
-    A study asks for a file once for each foot, mat or trial. Its bytes are
-    what tells one from another. Whatever is kept is shared: its arrays are
-    not to be written to.
+    A study reads a file once for each foot, mat or trial. A hash of its bytes
+    shows whether it has changed. Results are shared: do not write to their
+    arrays.
 
     Args:
-        count: of the files that are kept.
+        count: number of results kept.
     """
 
     def keeping(read: Reader) -> Reader:
@@ -74,10 +74,10 @@ def kept(count: int) -> Callable[[Reader], Reader]:
 
 
 def read_text(path: str | Path, remedy: str = "check the path") -> str:
-    """Text of a file; bytes that are no UTF-8 become question marks.
+    """Read a text file; bytes that are not UTF-8 become replacement marks.
 
     Raises:
-        InputError: it cannot be read, or is no text.
+        InputError: it cannot be read, or is binary.
     """
     data = read_bytes(path, remedy)
     if b"\0" in data:
@@ -86,12 +86,12 @@ def read_text(path: str | Path, remedy: str = "check the path") -> str:
             "UTF-8"
         )
     text = data.decode("utf-8-sig", errors="replace")
-    # Names from damaged files end up in messages: one line, printable.
+    # Texts of damaged files end up in messages, so keep them printable.
     return printable(text, keep="\t\r\n")
 
 
 def shown(cell: str) -> str:
-    """A cell as it may stand in a message: not endless."""
+    """A cell for use in a message: at most 40 characters."""
     cell = cell.strip()
     return cell if len(cell) <= _SHOWN else cell[:_SHOWN] + "..."
 
@@ -103,13 +103,13 @@ def number_rows(
 
     Args:
         path: for messages.
-        rows: line number and cells of each.
-        width: cells that each row must have.
+        rows: line number and cells of each row.
+        width: number of cells that each row must have.
 
     Raises:
-        InputError: naming the line: another number of cells, a cell that is
-            no number, or one that no measurement can be; or there are no
-            rows.
+        InputError: there are no rows; or, with the line, another number of
+            cells, a cell that is not a number, or one larger than any
+            measurement.
     """
     rows = list(rows)
     if not rows:
@@ -139,10 +139,10 @@ def number_rows(
 
 
 def frame_rate(path: str | Path, text: str | None, key: str) -> float:
-    """Frames per second that a header names under `key`.
+    """Frame rate [Hz] from the text of a header's `key`.
 
     Raises:
-        InputError: it does not, or no camera is that slow or fast.
+        InputError: it is no number, or not between 0 and 1e6.
     """
     try:
         rate = float(text)
@@ -157,7 +157,7 @@ def frame_rate(path: str | Path, text: str | None, key: str) -> float:
 
 
 def _is_plain(text: str) -> bool:
-    """Whether no 1_000 of Python's nor digits of other scripts are in it."""
+    """Whether a text is free of 1_000 and of digits of other scripts."""
     return text.isascii() and "_" not in text
 
 
@@ -175,22 +175,22 @@ def _not_a_number(path, rows, texts) -> InputError:
 
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}  # to m
-# A time stamp may be rounded, but no frame may be missing.
+# Largest error of a rounded time stamp, in steps; beyond, a frame is missing.
 _JITTER = 0.45
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns over time.
+    """Columns of numbers over time.
 
     Attributes:
         time: (N,) [s], increasing.
         names: column names without time, length C.
-        values: (N, C), units as `source` says; NaN where missing.
-        in_degrees: what the file's header says of angles, None if nothing.
+        values: (N, C), in units of the file (of a CSV: SI); NaN where missing.
+        in_degrees: what the header says of angles; None if nothing.
         source: file name, for messages and provenance.
-        units: of each column as the file names it, if it does; of a CSV
-            before values were made SI.
+        units: of each column, if the file names them; of a CSV those in the
+            file, before conversion to SI.
     """
 
     time: np.ndarray
@@ -219,11 +219,11 @@ class Table:
     def in_radians(self, angles: Sequence[str]) -> "Table":
         """The same table with the columns `angles` in radians.
 
-        What the header says of them is compared with the angles themselves.
-        No joint turns by more than a full turn, so larger numbers are degrees.
-        Numbers within half a turn that move by more than 20 degrees, read as
-        radians, are taken for radians: read as degrees all joints would stay
-        within 3.2 degrees of zero and yet be in motion.
+        The header's statement is compared with the values. No joint turns by
+        more than a full turn, so values beyond 2 pi are degrees. Values within
+        pi that vary by more than 0.35 (20 degrees, if in radians) are radians:
+        as degrees, all joints would stay within 3.2 degrees of zero and yet
+        move.
 
         Raises:
             InputError: header and values contradict each other, or the header
@@ -236,7 +236,7 @@ class Table:
             )
         columns = [self.names.index(name) for name in angles]
         values = self.values.copy()
-        # Columns without any value are told where they are asked for.
+        # Columns without any value are refused when they are asked for.
         found = values[:, columns]
         found = found[:, np.isfinite(found).any(axis=0)]
         largest = np.nanmax(np.abs(found), initial=0.0)
@@ -295,11 +295,11 @@ class MarkerData:
 
 @dataclass(frozen=True)
 class PlateRecording:
-    """One force plate as a file gives it, in the file's axes.
+    """One force plate as recorded, in the file's axes.
 
     Attributes:
-        number: from 1, as the columns say, else in their order.
-        force: (N, 3) on the body [N].
+        number: from 1, by the columns' names, else in their order.
+        force: (N, 3) on the body, unless `forces_act_on` is plate [N].
         point: (N, 3) where the force acts [m].
         torque: (N, 3) free moment about that point [N m]; zeros where the
             file has none.
@@ -319,7 +319,7 @@ def plate_axes(corners: np.ndarray) -> np.ndarray:
     """Axes of a force plate's own frame as columns (3, 3).
 
     Args:
-        corners: (4, 3): (+x, +y), (-x, +y), (-x, -y), (+x, -y) of the plate.
+        corners: (4, 3) at (+x, +y), (-x, +y), (-x, -y), (+x, -y) of the plate.
     """
     x, y = corners[0] - corners[1], corners[0] - corners[3]
     z = np.cross(x, y)
@@ -328,7 +328,7 @@ def plate_axes(corners: np.ndarray) -> np.ndarray:
 
 
 def missing_column(source, name, names, what="column") -> InputError:
-    """The error for a column that is not there, with the nearest name."""
+    """Error for a missing column; suggests the nearest name."""
     hint = nearest(name, names)
     if not hint:
         hint = f"; there are {', '.join(names[:8])}"
@@ -340,7 +340,7 @@ def check_gaps(source, what, time, values) -> None:
     """Refuse values (N,) or (N, k) that are not finite.
 
     Raises:
-        InputError: naming the first gap and how much is missing.
+        InputError: naming the first gap and the number of missing frames.
     """
     bad = ~np.isfinite(values.reshape(len(time), -1)).all(axis=1)
     if bad.any():
@@ -353,12 +353,12 @@ def check_gaps(source, what, time, values) -> None:
 
 
 def between(time: np.ndarray, start_s: float, end_s: float) -> np.ndarray:
-    """Samples (N,) bool from start to end, both included but for rounding."""
+    """Samples (N,) bool from start to end, both included within 1 ns."""
     return (time >= start_s - 1e-9) & (time <= end_s + 1e-9)
 
 
 def runs(mask: np.ndarray) -> list[list[int]]:
-    """Start and end of each run of True in a (N,) bool."""
+    """Start and end (exclusive) index of each run of True in a (N,) bool."""
     edges = np.flatnonzero(np.diff(np.r_[0, mask, 0]))
     return edges.reshape(-1, 2).tolist()
 
@@ -366,12 +366,12 @@ def runs(mask: np.ndarray) -> list[list[int]]:
 def uniform_time(
     source: str, time: np.ndarray, rate_hz: float | None = None
 ) -> np.ndarray:
-    """Evenly spaced times (N,) behind possibly rounded time stamps.
+    """Evenly spaced times (N,) [s] for possibly rounded time stamps.
 
     Args:
         source: file name, for messages.
-        time: (N,) increasing [s].
-        rate_hz: frames per second as the header says, if it does.
+        time: (N,) time stamps, increasing [s].
+        rate_hz: frames per second by the header, if it states them.
 
     Raises:
         InputError: a frame is missing or repeated, or header and time
@@ -386,15 +386,15 @@ def uniform_time(
         raise _wrong_rate(source, rate_hz, usual)
     step = (time[-1] - time[0]) / (n - 1)
     grid = time[0] + step * np.arange(n)
-    # Stamps rounded to milliseconds must not stretch the grid; what they are
-    # off on average is a quarter of that.
+    # Stamps rounded to milliseconds must not stretch the grid; the unit of
+    # rounding is four times their mean error.
     rounding = 4.0 * np.abs(time - grid).mean() + 1e-9
     if rate_hz and abs(step - 1.0 / rate_hz) * (n - 1) < rounding:
         step = 1.0 / rate_hz
         grid = time[0] + step * np.arange(n)
     off = np.abs(time - grid)
     if off.max() > _JITTER * step:
-        # Where a frame is missing, all later ones are off as much.
+        # A missing frame shifts all later ones; find the odd step instead.
         worst = int(np.argmax(np.abs(np.diff(time) - step))) + 1
         raise InputError(
             f"{source}: time is not evenly spaced around {time[worst]:g} s "
@@ -413,7 +413,7 @@ def _wrong_rate(source: str, rate_hz: float, step: float) -> InputError:
 
 
 def check_increasing(source: str, time: np.ndarray) -> None:
-    """Refuse times that do not increase.
+    """Refuse times that are missing or do not increase.
 
     Raises:
         InputError: naming the frame.
@@ -433,7 +433,7 @@ def check_increasing(source: str, time: np.ndarray) -> None:
         )
 
 
-# Factors to s, rad, N m, N, m.
+# Unit of a CSV column -> factor to s, rad, N m, N or m.
 UNITS = {
     "s": 1.0,
     "ms": 1e-3,
@@ -449,7 +449,7 @@ _COLUMN = re.compile(r"\s*(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 
 
 def read_csv_table(path: str | Path) -> Table:
-    """Read a CSV table; values in SI units, angles in radians.
+    """Read a CSV table with units; values are converted to SI, angles to rad.
 
     Raises:
         InputError: unreadable, a column without a known unit, damaged rows,
@@ -470,10 +470,10 @@ def read_csv_table(path: str | Path) -> Table:
 
 
 def comma_separated(path, header: str) -> list[str]:
-    """Cells of a CSV file's first line.
+    """Split a CSV file's first line into cells.
 
     Raises:
-        InputError: something else than commas separates them.
+        InputError: semicolons or tabs separate them.
     """
     for mark, name in ((";", "semicolons"), ("\t", "tabs")):
         if mark in header and "," not in header:
@@ -485,7 +485,7 @@ def comma_separated(path, header: str) -> list[str]:
 
 
 def check_count(path, text: str | None, count: int, key, what) -> None:
-    """A file with fewer rows than it announces was cut off."""
+    """Refuse a file whose header announces another count than it holds."""
     if text is not None and text.strip().isdecimal() and int(text) != count:
         raise InputError(
             f"{path}: the header says {key}={text}, but there are {count} "
@@ -494,7 +494,7 @@ def check_count(path, text: str | None, count: int, key, what) -> None:
 
 
 def check_names(path, line: int, names: list[str]) -> None:
-    """Refuse names of columns, in a line of a file, that are there twice."""
+    """Refuse repeated column names in a line of a file."""
     for name in names:
         if names.count(name) > 1:
             raise InputError(
