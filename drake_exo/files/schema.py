@@ -93,7 +93,7 @@ def load_text(text: str, cls: type[T], name: str = "<text>") -> T:
 
 
 def check(settings: T, cls: type[T], name: str) -> T:
-    """Copy of settings made in Python, checked like a file's; see `load`.
+    """Copy of settings made in Python, checked like a file; dicts are groups.
 
     Raises:
         InputError: `settings` is not of `cls`, or has a value it forbids.
