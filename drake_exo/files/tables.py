@@ -299,7 +299,7 @@ class PlateRecording:
 
     Attributes:
         number: from 1, by the columns' names, else in their order.
-        force: (N, 3) on the body, unless `forces_act_on` is plate [N].
+        force: (N, 3) on the body, or see `Laboratory.forces_act_on` [N].
         point: (N, 3) where the force acts [m].
         torque: (N, 3) free moment about that point [N m]; zeros where the
             file has none.

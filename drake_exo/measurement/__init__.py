@@ -1,1 +1,1 @@
-"""From a laboratory's files to trials."""
+"""Processing of a gait laboratory's recordings into trials."""

@@ -100,7 +100,7 @@ def find_rises(
 
 
 def _seat_off(hip_z, chair_force, weight, before, up):
-    """Index of seat-off between `before` and `up`; whether a chair bore."""
+    """Index of seat-off in `before` to `up`; whether a chair bore weight."""
     seated = np.flatnonzero(chair_force[before:up] > SEATED_SHARE * weight)
     if len(seated) == 0:
         return before + int(np.argmin(hip_z[before:up])), False
@@ -110,7 +110,7 @@ def _seat_off(hip_z, chair_force, weight, before, up):
 
 
 def _standing(time, hip_z, F_z, weight, up, after):
-    """Index where weight is first borne steadily at the top; if it is."""
+    """Index of the first steady standing, else of the top; and if steady."""
     top = up + int(
         np.argmax(hip_z[up : after + 1] >= 0.98 * (hip_z[up : after + 1].max()))
     )

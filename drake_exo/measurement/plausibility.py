@@ -1481,7 +1481,7 @@ def wearer_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
 
 
 def worn_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
-    """Of a device of which nothing was measured: may be nobody wore it."""
+    """Note if nothing of the device was measured: perhaps nobody wore it."""
     trials = [e.trial for e in evidence]
     if any(t.coordinates.device for t in trials) and not any(
         map(saw_device, trials)

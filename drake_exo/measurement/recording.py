@@ -38,7 +38,7 @@ _SMOOTH_S = 0.025  # moving average before that
 _SHORTEST_S = 0.1  # shortest unloaded part
 _EDGE_S = 0.1  # cut from either end of an unloaded part
 _STEP_S = 0.001  # of the lags that are tried
-_TREND_SHARE = 0.5  # of the recording, which unloaded parts span if it drifts
+_TREND_SHARE = 0.5  # of the recording: least span of unloaded parts for a drift
 # A larger offset is a load. A chair's plate may not have been tared.
 LARGEST_FOOT_N = 20.0
 LARGEST_CHAIR_N = 200.0

@@ -130,12 +130,12 @@ class PlanarWrench:
 
     @property
     def force_x(self) -> np.ndarray:
-        """Forward (N,) [N]."""
+        """Forward force (N,) [N]."""
         return self.force[:, 0]
 
     @property
     def force_z(self) -> np.ndarray:
-        """Upward (N,) [N]."""
+        """Upward force (N,) [N]."""
         return self.force[:, 1]
 
     @property

@@ -279,7 +279,7 @@ def _at_frames(time, wrench: np.ndarray, markers: MarkerData) -> np.ndarray:
 
 
 def _step(name, markers, contact, inside, wrench, height) -> RecordedStep:
-    """The step in the foot's own frame."""
+    """The step in its own frame, in the markers' frames `inside` (bool)."""
     points, time = markers.positions, markers.time
     stands = (time >= contact.start_s) & (time <= contact.end_s)
     flat = _flat(points, time, stands)
