@@ -1,1 +1,1 @@
-"""Shapes of least cost, and what they are worth."""
+"""Shape optimisation: problem, limits, gradients, search, design and files."""

@@ -1,7 +1,7 @@
-"""Gradient of stiffness measures with respect to the shape, by the adjoint.
+"""Gradients of cost and limits by the node positions and the load (adjoint).
 
-Backwards through the samples (contact and pose), then once through the
-condensation and the elements, see `elasticity.py`.
+The adjoint goes backwards through the samples (contact and pose), then once
+through condensation and elements, see `elasticity.py`.
 """
 
 from dataclasses import dataclass, field
@@ -14,20 +14,20 @@ from drake_exo.soles.elasticity import Sole, compliance_gradients
 from drake_exo.soles.loads import Load
 from drake_exo.soles.simulation import STABILITY_SCALE, StepHistory
 
-_NEGLIGIBLE = 1e-12  # of the largest derivative: samples left out
+_NEGLIGIBLE = 1e-12  # samples below this part of the largest are left out
 
 
 @dataclass
 class Derivative:
-    """What the adjoint needs of one functional, direct derivatives all.
+    """Direct derivatives of one functional, the adjoint's input.
 
     Attributes:
-        pairs: Sample -> vectors u and v (6,) with a share uᵀ K_c v in it.
-        by_turn: Sample -> by the foot's turn, (3,).
-        by_force: Sample -> by nodal forces in the sole frame, (m, 3).
-        by_nodes: By the nodes at rest, (n, 3) or 0.
-        fields: Fields and factors of a further part of it, see
-            `energy_gradients`.
+        pairs: By sample, vectors u, v (6,) of which it varies like uᵀ K_c v.
+        by_turn: By sample, derivative by the foot's turn [1/rad], (3,).
+        by_force: By sample, by nodal forces in the sole frame [1/N], (m, 3).
+        by_nodes: By the nodes' positions at rest [1/m], (n, 3) or 0.
+        fields: Fields and factors of its part through the stiffness matrix,
+            see `energy_gradients`; None if there is none.
     """
 
     pairs: dict[int, list] = field(default_factory=dict)
@@ -38,10 +38,10 @@ class Derivative:
 
 
 class Sensitivity:
-    """Derivatives of one functional by what the elements hand over.
+    """Derivatives of one functional, summed over samples backwards.
 
-    By the rest positions lP of the contact nodes and their places at the sample
-    before (`mu`), (m, 3) each; columns with ∂/∂C = Σ left rightᵀ, (3m,); by
+    By rest positions of the contact nodes (`lP`) and their places at the sample
+    before (`mu`), (m, 3) each; by C as columns (3m,), ∂/∂C = Σ left rightᵀ; by
     force and ZMP of every sample (`load`), (N, 5).
     """
 
@@ -59,7 +59,7 @@ class Sensitivity:
 def singular_terms(
     K_c: np.ndarray, by_tr: np.ndarray, by_rot: np.ndarray
 ) -> Derivative:
-    """Of Σ by_tr σ_max(K_tr) + Σ by_rot σ_min(K_rot), factors (N,) each."""
+    """Derivative of Σ by_tr σ_max(K_tr) + Σ by_rot σ_min(K_rot), both (N,)."""
     pairs = {}
     for q, K in enumerate(K_c):
         for factor, part, which in (
@@ -75,7 +75,7 @@ def singular_terms(
 
 
 def stability_terms(K_c: np.ndarray, factors: np.ndarray) -> Derivative:
-    """Of Σ factor · min eig(S sym(−K_c) S)."""
+    """Derivative of Σ factor · min eig(S sym(−K_c) S), factors (N,)."""
     pairs, scale = {}, STABILITY_SCALE
     for q in heavy(factors):
         sym = -0.5 * (K_c[q] + K_c[q].T) * np.outer(scale, scale)
@@ -85,13 +85,13 @@ def stability_terms(K_c: np.ndarray, factors: np.ndarray) -> Derivative:
 
 
 def tilt_terms(R: np.ndarray, up, factors: np.ndarray) -> Derivative:
-    """Of Σ factor · (R z) · up (the cosine of the tilt)."""
+    """Derivative of Σ factor · (R z) · up, the cosine of the tilt."""
     by_turn = {q: factors[q] * np.cross(R[q, :, 2], up) for q in heavy(factors)}
     return Derivative(by_turn=by_turn)
 
 
 def heavy(derivatives: np.ndarray) -> np.ndarray:
-    """Samples that count, of derivatives (N, ...): soft extremes skip most."""
+    """Samples whose derivative (N, ...) matters; few of a soft minimum's."""
     size = np.abs(derivatives).reshape(len(derivatives), -1).max(axis=1)
     return np.flatnonzero(size > _NEGLIGIBLE * size.max())
 
@@ -104,10 +104,10 @@ def gradients(
     history: StepHistory,
     functionals: list[Derivative],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of each functional, by one way back through the samples.
+    """Derivatives of f functionals, in one backward pass over the samples.
 
     By all node positions (f, n, 3); by every sample's force and ZMP (f, N, 5).
-    All samples have converged.
+    All samples must have converged.
     """
     m, count = len(sole.positions), len(load.times)
     sums = [Sensitivity(m, count) for _ in functionals]
@@ -158,10 +158,10 @@ class _Step:
         self.Y = history.P[q] - state.O
 
     def reverse(self, sums: list[Sensitivity], direct: list[Derivative]):
-        """Add this sample's share; leaves every mu for the one before."""
+        """Add this sample's share to the sums; set mu for the sample before."""
         R, F = self.state.R, self.lin.F
         c, k, m = len(sums), len(self.nodes), len(self.solver.lP)
-        # bA: by the turns of the planes that the nodes meet.
+        # By places, forces, references and turns of the planes nodes meet.
         bP, bF, bQ, bA = np.zeros((4, c, k, 3))
         b_w = np.zeros((c, 3))
         of_stiffness = []
@@ -176,13 +176,13 @@ class _Step:
             self._stiffness_terms(sums, of_stiffness, bP, bF, bQ, bA, b_w)
         if self.turn is not None:
             b_w += self._by_turn(bQ, bA)
-        # Reverse P = O + R (lP + C Rᵀ F), with what the next sample asks.
+        # Reverse P = O + R (lP + C Rᵀ F), with the next sample's share.
         bP_all = np.array([total.mu for total in sums])
         bP_all[:, self.nodes] += bP
         b_O = bP_all.sum(axis=1)
         b_w += cross(self.Y, bP_all).sum(axis=1)
         by = bP_all @ R
-        # The block of C that holds all of them: faster than gathering rows.
+        # A contiguous block of C: faster than gathering its rows.
         there = np.append(np.flatnonzero(by.any(axis=(0, 2))), self.nodes)
         a, b = there.min(), there.max() + 1
         C = self.solver.C[3 * a : 3 * b, 3 * a : 3 * b]
@@ -214,26 +214,26 @@ class _Step:
                 total.lP[self.nodes] += before[i] @ R_ini
 
     def _by_turn(self, by_places, by_axes) -> np.ndarray:
-        """Through references and axes of planes that turn with the foot."""
+        """By the turn, through references and axes that turn with the foot."""
         return np.einsum("kij,cki->cj", self.turn.places, by_places) + (
             np.einsum("kij,cki->cj", self.turn.axes, by_axes)
         )
 
     def _on_ground(self, by_point: np.ndarray) -> np.ndarray:
-        """By the ZMP, which stays on the ground, from (3,) to (2,)."""
+        """Derivative by the ZMP's x, y (2,): its z follows the ground."""
         return by_point[:2] + by_point[2] * self.rise
 
     def _own_zmp_adjoint(self, by_point: np.ndarray) -> np.ndarray:
-        """Multiplier (1, 3) of Σ (P − Z) × F, level and 0 at the own ZMP Z."""
+        """Multiplier (1, 3) of Σ (P − Z) × F = 0 in x and y, which fixes Z."""
         turned = cross(self.lin.F.sum(axis=0)[None], np.eye(3)[:2])
         A = np.stack([self._on_ground(x) for x in turned], axis=1)
         return np.append(np.linalg.solve(A, by_point), 0.0)[None]
 
     def _stiffness_terms(self, sums, terms, bP, bF, bQ, bA, b_w) -> None:
-        """Add direct derivatives of uᵀ K_c v; terms are functional, u and v.
+        """Add the direct derivatives of uᵀ K_c v; terms are (functional, u, v).
 
         By places, forces, references and the turns of their planes (bP, bF,
-        bQ, bA, (c, k, 3) each), and by the turn (b_w, (c, 3)).
+        bQ, bA, (c, k, 3) each), and by the foot's turn (b_w, (c, 3)).
         """
         lin, R, F, arm = self.lin, self.state.R, self.lin.F, self.lin.arm
         owners, *both = zip(*terms, strict=True)
@@ -279,7 +279,8 @@ class _Step:
     def _adjoint(self, bF, b_O, b_w):
         """Solve the transposed Newton system for all functionals.
 
-        Bᵀ λ (c, k, 3), by the turns of the planes (c, k, 3), l_w (c, 6).
+        Returns Bᵀ λ (c, k, 3), the derivatives by turns of planes (c, k, 3),
+        and the multipliers of the wrench, l_w (c, 6).
         """
         lin, F, arm = self.lin, self.lin.F, self.lin.arm
         tau, Z = lin.tau_world / lin.r, self.target.point

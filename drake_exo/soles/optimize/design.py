@@ -1,6 +1,7 @@
-"""The design that an optimisation ends with, verified.
+"""The result of an optimisation, verified, and the files it writes.
 
-By the exact law from a cold start with all samples, and on a finer mesh.
+It is simulated by the exact law with all samples from a cold start, and for
+`write` on a finer mesh and in finite strain.
 """
 
 import time
@@ -44,15 +45,15 @@ from drake_exo.soles.results import Step
 from drake_exo.soles.settings import Setup, finer_mesh
 from drake_exo.soles.simulation import FIRST_HISTORY, HISTORY
 
-_ACTIVE = 0.01  # of a scaled limit
-_FINER = 0.03  # of c, on a finer mesh
-_EXACT = 0.05  # of c, by the exact law with all samples
-_ROUNDING = 0.01  # of a limit: the smoothed law on the way is not exact
+_ACTIVE = 0.01  # scaled limits below this are active
+_FINER = 0.03  # largest change of c on a finer mesh
+_EXACT = 0.05  # largest change of c by the exact law with all samples
+_ROUNDING = 0.01  # of a limit, which was met by the smoothed law
 
 
 @dataclass
 class Design:
-    """An optimised sole and its initial shape, both by the exact law.
+    """An optimised sole and its initial shape, both by the exact contact law.
 
     `Case.optimize` returns it.
 
@@ -65,8 +66,8 @@ class Design:
 
     Attributes:
         setup: The case.
-        problem: The last stage's problem; it gives cost, limits and
-            derivatives at any variables.
+        problem: The last stage's problem, for cost, limits and derivatives at
+            any `variables`.
         variables: Coefficients of the spline; then, where a walk was sought
             with the sole, the walk's numbers, each from 0 to 1 in its range,
             (P,).
@@ -75,12 +76,11 @@ class Design:
         optima: Outcome of every stage. Where a walk was sought, only of the
             stages that moved it, or of the sole alone if that is the design.
         stages_seconds: Computing time of each stage [s].
-        starts: For every start (or walk that was tried) the cost and
-            violation it led to, after which stage, and the cost on a finer
-            mesh.
+        starts: For every start (or walk that was tried) its last stage, the
+            cost and violation after it, and the cost on a finer mesh.
         seconds: Computing time of the whole search [s].
-        gait: The walk that was sought with the sole, its numbers before and
-            after; None where none was.
+        gait: The walk sought with the sole: its numbers before and after,
+            contact times [s], the sole alone; None if no walk was sought.
     """
 
     setup: Setup
@@ -145,7 +145,7 @@ class Design:
 
     @property
     def _told(self) -> dict[str, float]:
-        """Their cost c, and by what part of it the exact law's differs."""
+        """The smoothed law's c and the exact law's relative change from it."""
         if self.smoothed is None:
             return {}
         c_tr, c_rot = self.smoothed
@@ -201,7 +201,7 @@ class Design:
 
     @property
     def _surface(self) -> dict[str, float]:
-        """Of all of it, what the limits leave out too, as it stays."""
+        """Depth, height and draft over all bare surface, fixed parts too."""
         limits = self.problem.surface
         all_nodes = np.ones_like(limits.moving)
         return replace(limits, moving=all_nodes).measures(self.mesh)
@@ -240,9 +240,9 @@ class Design:
         """Simulate the design and the initial shape on a finer mesh.
 
         See `finer_mesh`. `change` (of the design) and `brick_change` (of the
-        initial shape) say how much c differs from that on the last stage's
-        mesh; NaN where the shape turns finer elements over. Returns None where
-        a finer mesh would have too many elements.
+        initial shape) are the relative change of c from the last stage's mesh;
+        NaN if the shape turns finer elements over. Returns None if a finer
+        mesh would have too many elements.
         """
         last = self.setup.settings.optimize.stages[-1]
         base = finer_mesh(self.setup.mesh, last)
@@ -290,7 +290,7 @@ class Design:
         limits, name = self.problem.limits, self.setup.name
         surface = self.problem.surface.measures(self.mesh)
         cm3 = 1e6 * self.mesh.volume
-        # Of poses that are not prescribed.
+        # Limits on tilt and stability do not hold for prescribed poses.
         free = ~self.setup.load.is_measured
         margin = np.min(self.step.stability[free], initial=np.inf)
         tilt = np.max(self.step.tilt_deg[free], initial=0.0)
@@ -412,7 +412,7 @@ class Design:
         return row
 
     def _write_stl(self, folder: Path) -> dict:
-        """Sole and mould for printing; what was checked of both."""
+        """Write sole and mould for printing; what was checked of them."""
         sole = self.mesh.nodes[self.mesh.boundary_faces]
         measured = self._surface
         told = {
@@ -455,7 +455,7 @@ class Design:
 
 
 def verified(setup: Setup, problem, at: Checkpoint, optima, seconds) -> Design:
-    """The design where a search stands, by the exact law."""
+    """The design at a search's checkpoint, simulated by the exact law."""
     step, penalty = problem.step(at.p), problem.law.penalty
     setup = replace(setup, load=step.setup.load)
     first = Step.by_exact_law(setup, problem.first.sole, penalty)

@@ -1,4 +1,4 @@
-"""What an optimisation leaves on disk: its checkpoint and its design."""
+"""Files of an optimisation: checkpoints, and reading designs back."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,27 +24,26 @@ _LARGEST = 1e30
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Where a run of stages stands.
+    """Where a search stands, to continue it.
 
     Attributes:
-        stage, iteration: Stage to go on with, its iterations done.
-        p: Best design so far (P,); None before the first.
-        latest: Point the optimiser stood at (P,).
-        multipliers: Of the constraints there.
-        barrier: IPOPT's μ to go on with.
-        curvature: Learnt Hessian (P, P).
-        strain_scale: Of the design that the stage began with, see
-            `search.strain_scale`.
-        starts: Of a start the cost, also on a finer mesh, and violation after
-            every stage; of a run those that each of its starts, or walks, has
-            led to.
-        alone: Of a walk that is sought the coefficients of the sole that was
-            found for the case's own one (k,).
-        begun: Checkpoints of starts, or then of walks, that were tried, None
-            for those that had none; of a run there is no p before its starts
-            have ended.
-        case: Its name; "" where a file of an earlier version does not say.
-        key: `Setup.key` of what is searched; "" likewise.
+        stage, iteration: Stage to continue (from 0), its iterations done.
+        p: Best design so far (P,); None as long as a run's starts are tried.
+        latest: The optimiser's latest point (P,).
+        multipliers: Multipliers of the constraints there, (m,).
+        barrier: IPOPT's barrier parameter μ to continue with.
+        curvature: BFGS approximation of the Hessian, (P, P).
+        strain_scale: `search.strain_scale` of the design that the stage began
+            with.
+        starts: A start's rows: stage, cost, violation and cost on a finer mesh
+            after every stage done; a run's: the last row of each of its starts
+            or walks.
+        alone: If a walk is sought, coefficients of the sole found for the
+            case's own walk, (k,).
+        begun: Checkpoints of the starts, or later the walks, that are being
+            tried; None for those without one.
+        case: The case's name; "" if a file of an earlier version lacks it.
+        key: `Setup.key` of the case that is searched; "" likewise.
     """
 
     stage: int = 0
@@ -63,11 +62,11 @@ class Checkpoint:
 
     @property
     def is_alone(self) -> bool:
-        """Whether it is of the sole alone, its walks still to be tried."""
+        """Whether the sole alone is found, its walks not yet tried."""
         return self.alone is not None and len(self.p) == len(self.alone)
 
     def check(self) -> None:
-        """Raises ValueError unless all of it is what a run writes."""
+        """Raise ValueError if a value is none that a run writes."""
         numbers = [self.p, self.curvature]
         if self.alone is not None:
             numbers.append(self.alone)
@@ -85,7 +84,7 @@ class Checkpoint:
             raise ValueError("not a checkpoint")
 
     def after(self, stage, iteration, best, curvature) -> "Checkpoint":
-        """Where a stage that began here stands now."""
+        """The checkpoint after some iterations of a stage, from its best."""
         latest, multipliers, barrier = best.latest or (best.p, None, None)
         return replace(
             self, stage=stage, iteration=iteration, p=best.p, latest=latest,
@@ -94,10 +93,10 @@ class Checkpoint:
         )  # fmt: skip
 
     def check_fits(self, problem) -> None:
-        """Whether it is of this problem.
+        """Refuse a checkpoint of another problem.
 
         Raises:
-            InputError: Another number of coefficients or other limits.
+            InputError: The number of coefficients or of limits differs.
         """
         count, names = len(problem.undeformed), problem.names()
         if len(self.p) != count:
@@ -120,7 +119,7 @@ class Checkpoint:
             )
 
     def write(self, folder: Path) -> None:
-        """Write checkpoint.json, whole or not at all, and make its folder."""
+        """Write checkpoint.json atomically; make its folder if need be."""
         kept = vars(self) | {
             "coefficients": self.p,
             "curvature": self.curvature[np.tril_indices(len(self.p))],
@@ -131,17 +130,17 @@ class Checkpoint:
 
 
 def start_folder(out: Path | None, start: int) -> Path | None:
-    """Where a start, or walk, keeps its checkpoint while others are tried."""
+    """Folder of a start's or walk's checkpoint, while several are tried."""
     return None if out is None else out / f"start_{start}"
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
-    """A checkpoint of an earlier run, given as file or folder.
+    """Read a checkpoint from its file or folder, with those of its starts.
 
     Raises:
         InputError: Missing or not a checkpoint.
     """
-    if path.name == CHECKPOINT:  # starts and walks have theirs beside it
+    if path.name == CHECKPOINT:  # the starts' folders lie beside it
         path = path.parent
     file = path / CHECKPOINT if path.is_dir() else path
     starts = sorted(path.glob("start_*")) if path.is_dir() else []
@@ -181,7 +180,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
             key=str(data.get("key", "")),
         )
         found.check()
-        if found.is_alone:  # what is begun are its walks
+        if found.is_alone:  # the folders beside it are the walks'
             found = replace(found, begun=begun)
     except (ValueError, KeyError, TypeError, OverflowError):
         raise InputError(f"{file}: not a checkpoint; {remedy}") from None
@@ -276,10 +275,9 @@ class StoredDesign:
 
 
 def write_case(folder: Path, settings: Settings, start: Start) -> None:
-    """Write the case beside its design; its paths stay as they were.
+    """Write case.yaml with the start written out; paths stay as they were.
 
-    The start is written out: its default depends on the initial mesh, which
-    the folder does not hold.
+    The start's default depends on the initial mesh, which is not in the folder.
     """
     block = StartBlock(
         tuple(map(float, start.point_L)),
@@ -291,7 +289,7 @@ def write_case(folder: Path, settings: Settings, start: Start) -> None:
 
 
 def find_designs(folder: Path | str) -> list[StoredDesign]:
-    """Read the design in a folder, or those of a study, in its order.
+    """Read the design in a folder, or a study's designs in their order.
 
     >>> import drake_exo as dx
     >>> dx.soles.find_designs("nowhere")
@@ -351,9 +349,9 @@ def read_design(folder: Path) -> StoredDesign:
 
 
 def _held(settings: Settings, load: Load) -> np.ndarray:
-    """Contact phases whose poses are prescribed, (K,).
+    """Contact phases whose pose is prescribed, (K,) bool.
 
-    Phases of a block, of which there may be several, share its weight.
+    Phases are matched to blocks by weight: a block's share its weight.
     """
     blocks, shares = settings.all_loads, load.shares
     ends = np.cumsum([block.weight for block in blocks])
@@ -363,10 +361,10 @@ def _held(settings: Settings, load: Load) -> np.ndarray:
 
 
 def read_summary(folder: Path) -> dict:
-    """The summary.json of a folder; costs not found are NaN.
+    """Read a folder's summary.json; costs that are null become NaN.
 
     Raises:
-        InputError: It cannot be read, or is no JSON.
+        InputError: It cannot be read, or is not a summary.
     """
     remedy = "optimise the sole again"
     data = read_json(folder / SUMMARY, remedy)

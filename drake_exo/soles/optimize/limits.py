@@ -1,14 +1,14 @@
-"""Limits on a design that take a simulation: value and what the adjoint needs.
+"""Limits on a design: scaled value, at least 0 where met, and derivative.
 
-Every limit is scaled and at least 0 where met. Minima over samples are soft
-and err on the safe side. The largest strain over elements and samples is
-measured by
+Limits that need a simulation return a value and a function that makes the
+adjoint's input; `SurfaceLimits` are of the shape alone. Minima over samples
+are soft and err on the safe side. The largest strain is measured by
 
     Φ = (Σ_q n_q Σ_e tr ε_qe^p)^(1/p), p even,
 
-the p-norm of all principal strains, never below the largest |principal
-strain| and smooth without eigenvalues. A sample that stands for n_q counts so
-often: thinned samples then give about the norm of all.
+the p-norm of all principal strains over samples q and elements (or nodes) e:
+never below the largest |principal strain|, and smooth without eigenvalues.
+n_q is how many samples q stands for, so thinned samples give about Φ of all.
 """
 
 from collections.abc import Callable
@@ -34,13 +34,14 @@ from drake_exo.soles.simulation import StepHistory, stability
 
 ORDER = 64  # p
 _BATCH = 32  # samples at a time
-# Strains (Frobenius) below this part of a principal one add less than 1e-13.
+# Strains (Frobenius) below this part of the largest principal one are left out:
+# they add less than 1e-13.
 _FAINT = 0.5
 
 
 @dataclass
 class StrainNorm:
-    """Φ of one simulated design; each sample stands for `counts`, (N,)."""
+    """Φ of a simulated design; sample q stands for counts[q] samples, (N,)."""
 
     sole: Sole
     history: StepHistory
@@ -57,7 +58,7 @@ class StrainNorm:
         self.value = float(unit * total ** (1 / ORDER))
 
     def _collect(self) -> None:
-        """Sample, element or node, and gradient H of strains that count."""
+        """Find strains that matter: sample, element or node, H = ∂u/∂x."""
         mesh = self.sole.mesh
         operators = gradient_operators(mesh)
         if self.sole.element == "smoothed":
@@ -84,7 +85,7 @@ class StrainNorm:
         self._H, self._eps = H[keep], eps[keep]
 
     def derivatives(self, factor: float = 1.0) -> Derivative:
-        """By nodal forces and, these held, by the nodes, times a factor."""
+        """The adjoint's input for factor · Φ: ∂/∂ nodal forces and nodes."""
         sole, mesh = self.sole, self.sole.mesh
         by_nodes = np.zeros_like(mesh.nodes)
         if sole.element == "linear":
@@ -116,9 +117,9 @@ class StrainNorm:
         )
 
     def _elements_around(self, by_nodes: np.ndarray):
-        """Samples, elements, their H and ∂Φ/∂ε, of the nodes that count.
+        """For averaged strains: samples, elements, their H and ∂Φ/∂ε (k, 3, 3).
 
-        `by_nodes` (n, 3) gets the part of the averages' own shares.
+        The averages' weights move, too: their part is added to `by_nodes`.
         """
         mesh, A = self.sole.mesh, self._nodes
         counts = np.diff(A.indptr)[self._e]
@@ -131,7 +132,7 @@ class StrainNorm:
         g = mesh.gradients[e]
         H = np.swapaxes(self._u[q[:, None], mesh.tets[e]], 1, 2) @ g
         G = share[:, None, None] * self._by_strain()[owner]
-        # A share is the element's volume over that of all around the node.
+        # A weight is the element's volume over that of all around the node.
         gain = (G * (H - self._H[owner])).sum(axis=(1, 2))
         scatter(by_nodes, mesh.tets[e], gain[:, None, None] * g)
         return q, e, H, G
@@ -161,23 +162,22 @@ def _powers(matrices, order):
     return out
 
 
-_SHARPNESS = 60.0  # of the soft minimum over samples
+_SHARPNESS = 60.0  # ρ of the soft minimum over samples
 _SURFACE_SHARPNESS = 500.0  # likewise over nodes or faces of the surface
-_DOWNWARDS = 0.5  # least downward part of a normal at the bottom
+_DOWNWARDS = 0.5  # normals with more than this downwards are the bottom's
 _TILT_SCALE = 0.06  # 1 − cos 20°
 _DRAFT_SCALE = 0.1  # rad
-# What a scaled limit may miss; a design is checked to be within a per cent of
-# each.
+# Violation of a scaled limit that counts as none; the final check allows 1 %.
 FEASIBLE = 5e-3
-_MET = 10.0  # of samples that no limit is on: next to none of a soft minimum
+_MET = 10.0  # value of samples without a limit: no share in a soft minimum
 
 
 @dataclass
 class Evaluation:
-    """A design simulated: sole, history and measures.
+    """A simulated design with its c_tr [N/m] and c_rot [N·m/rad].
 
-    `counts` says how many samples each simulated one stands for, `load` is
-    what they bear.
+    Each simulated sample, with the force and ZMP in `load`, stands for
+    `counts` samples, (N,).
     """
 
     sole: Sole
@@ -194,14 +194,14 @@ class Evaluation:
         return StrainNorm(self.sole, self.history, self.counts)
 
 
-# Limits: of an evaluation the value, and what makes what the adjoint needs.
+# Each limit returns its scaled value and a function that makes a `Derivative`.
 
 
 def limits_of(settings: Settings) -> dict[str, float]:
-    """The case's constraints that are not switched off, by name.
+    """The case's limits that are not switched off, by name.
 
     Largest volume [m³], strain (its p-norm), tilt_deg and height of the bare
-    surface [m]; least scaled eigenvalue `stability` [N/m], c_rot [N·m/rad],
+    surface [m]; least `stability` (scaled eigenvalue) [N/m], c_rot [N·m/rad],
     depth of the bottom below the top plane [m] and draft_deg, angle of bare
     faces with the vertical, so that a mould that opens upwards lets go.
     """
@@ -223,7 +223,7 @@ def limits_of(settings: Settings) -> dict[str, float]:
 
 
 def _stability(e: Evaluation, least: float, scale: float):
-    """Scaled excess of the least eigenvalue of −sym K_c [N/m]."""
+    """Least stability over samples above its limit, scaled; see `stability`."""
     K = e.history.K_c
     y, slope = _saturate((stability(K) - least) / scale)
     value, share = _least_free(e, y)
@@ -231,7 +231,7 @@ def _stability(e: Evaluation, least: float, scale: float):
 
 
 def _tilt(e: Evaluation, largest_deg: float, up: np.ndarray):
-    """Scaled difference of the cosines of the normals' angle."""
+    """Least cos(tilt) over samples less that of the largest tilt, scaled."""
     R = e.history.R
     margin = R[:, :, 2] @ up - np.cos(np.deg2rad(largest_deg))
     value, share = _least_free(e, margin / _TILT_SCALE)
@@ -239,14 +239,14 @@ def _tilt(e: Evaluation, largest_deg: float, up: np.ndarray):
 
 
 def strain_limit(e: Evaluation, largest: float):
-    """1 − Φ / limit."""
+    """Limit on strain, 1 − Φ / largest."""
     return 1.0 - e.strain.value / largest, (
         lambda: e.strain.derivatives(-1.0 / largest)
     )
 
 
 def rotation_limit(e: Evaluation, least: float, by_rot: np.ndarray):
-    """c_rot / limit − 1; `by_rot` are the samples' factors."""
+    """Limit on c_rot, c_rot / least − 1; `by_rot` (N,) are its weights."""
     zero = np.zeros(len(by_rot))
     return e.c_rot / least - 1.0, (
         lambda: singular_terms(e.history.K_c, zero, by_rot / least)
@@ -254,9 +254,9 @@ def rotation_limit(e: Evaluation, least: float, by_rot: np.ndarray):
 
 
 def _least_free(e: Evaluation, x: np.ndarray):
-    """Soft minimum over samples, and its derivatives.
+    """Soft minimum of x (N,) over samples with a free pose; derivatives (N,).
 
-    A pose that is prescribed does not tip, and no shape changes it.
+    A prescribed pose does not tip, and no shape changes it.
     """
     held = e.load.is_measured
     value, share = soft_minimum(np.where(held, _MET, x))
@@ -266,13 +266,14 @@ def _least_free(e: Evaluation, x: np.ndarray):
 def active_limits(
     limits: dict[str, float], first: Evaluation, by_rot: np.ndarray, up
 ) -> dict[str, Callable]:
-    """Limits that need a simulation, by name, the brick's for scales.
+    """Functions of the limits that need a simulation, by name.
 
-    `by_rot` are the samples' factors in c_rot, `up` is the ground's normal.
+    The initial shape `first` gives their scales; `by_rot` (N,) are the samples'
+    weights in c_rot, `up` (3,) is the ground's normal.
     """
     out = {}
     if least := limits.get("stability"):
-        # Of a first shape that hardly stands, the least itself is the size.
+        # If the initial shape is hardly stable, the limit itself is the scale.
         margin = stability(first.history.K_c)[~first.load.is_measured]
         scale = max(abs(float(margin.min())), least)
         out["stability"] = partial(_stability, least=least, scale=scale)
@@ -288,10 +289,10 @@ def active_limits(
 
 @dataclass(frozen=True)
 class SurfaceLimits:
-    """Limits on the shape alone, minima over nodes or faces.
+    """Limits on the shape alone, soft minima over surface nodes or faces.
 
-    The undeformed sole says what is its bottom; of its nodes those count that a
-    design moves, (n,) bool.
+    Bottom and sides are told apart on the undeformed `mesh`. Only nodes that a
+    design can move count: `moving`, (n,) bool.
     """
 
     limits: dict[str, float]
@@ -299,9 +300,9 @@ class SurfaceLimits:
     moving: np.ndarray
 
     def measures(self, mesh: TetMesh) -> dict[str, float]:
-        """Least depth, largest height [m] and least draft [°].
+        """Least depth [m], largest height [m] and least draft [°].
 
-        Where nothing of it moves, those of the bottom as it was given.
+        If no node of the bottom moves, the depth is over all contact nodes.
         """
         z = mesh.nodes[:, 2]
         up = _normals(mesh, self._sides)[1].max(initial=-1.0)
@@ -319,7 +320,7 @@ class SurfaceLimits:
 
     @cached_property
     def _bottom(self) -> np.ndarray:
-        """Those of faces that look downwards rather than sideways."""
+        """Such nodes of faces that look downwards rather than sideways."""
         faces = self.mesh.contact_faces
         down = _normals(self.mesh, faces)[1] < -_DOWNWARDS
         return np.intersect1d(faces[down], self._bare)
@@ -352,7 +353,7 @@ class SurfaceLimits:
             value, share = soft_minimum(
                 -up - np.sin(np.deg2rad(mine["draft_deg"])), _SURFACE_SHARPNESS
             )
-            # A draft is told by its angle: what counts as feasible has all.
+            # The final check is on the angle: no allowance of `FEASIBLE` here.
             value = value / _DRAFT_SCALE - FEASIBLE
             share = share / _DRAFT_SCALE
             # ∂(a_z/|a|)/∂a, and a = (p1 − p0) × (p2 − p0).
@@ -375,7 +376,7 @@ def _normals(mesh: TetMesh, faces: np.ndarray):
 
 
 def _saturate(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Give x / √(1 + x²) and its slope: no wild sample rules the search."""
+    """Return x / √(1 + x²), so that no sample dominates, and its slope."""
     root = np.sqrt(1 + x**2)
     return x / root, root**-3
 

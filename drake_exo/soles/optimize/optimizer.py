@@ -1,11 +1,11 @@
-"""Solve a shape problem with IPOPT.
+"""Solve a `ShapeProblem` with IPOPT.
 
-IPOPT is called directly (its wheel brings MUMPS). It asks for a Hessian; it
-gets the exact one of the regularization plus a dense BFGS matrix for all that
-comes out of simulations (Nocedal and Wright, Numerical Optimization, 2nd ed.,
+IPOPT is called directly (its wheel brings MUMPS). Its Hessian is the exact one
+of the regularization plus a dense BFGS approximation of everything that comes
+out of simulations (Nocedal and Wright, Numerical Optimization, 2nd ed.,
 procedure 18.2: Powell's damping keeps it positive definite). Unlike IPOPT's
-own limited-memory matrix nothing is forgotten, and what cheap coarse stages
-taught serves the fine ones.
+limited-memory approximation it forgets nothing, and the fine stages start from
+what the cheap coarse ones have built up.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,11 +22,11 @@ _DAMPING = 0.2
 
 
 class QuasiNewton:
-    """Dense damped BFGS matrix of a Lagrangian.
+    """Dense damped BFGS approximation of a Lagrangian's Hessian.
 
     Args:
-        metric: What it is a multiple of as long as nothing is known, (P, P).
-        matrix: What an earlier stage learnt; None begins anew.
+        metric: Matrix (P, P); a multiple of it is the first approximation.
+        matrix: Approximation (P, P) of an earlier stage; None begins anew.
     """
 
     def __init__(self, metric: np.ndarray, matrix: np.ndarray | None = None):
@@ -35,14 +35,14 @@ class QuasiNewton:
         self._last = None
 
     def forget_point(self) -> None:
-        """Keep the matrix; the next point belongs to another problem."""
+        """Skip the next difference: its point is of another problem."""
         self._last = None
 
     def update(self, p, gradient, jacobian, multipliers) -> None:
-        """Learn from an accepted point p (P,).
+        """Update the matrix with an accepted point p (P,).
 
-        By gradient (P,) of the cost and Jacobian (m, P) of the constraints;
-        multipliers (m,) of these are the same at both points.
+        Takes the cost's gradient (P,) and the constraints' Jacobian (m, P)
+        there; the multipliers (m,) are used at this point and the last one.
         """
         last, self._last = self._last, (p.copy(), gradient, jacobian)
         if last is None or np.array_equal(p, last[0]):
@@ -60,10 +60,10 @@ class QuasiNewton:
         self.matrix += np.outer(y, y) / (s @ y) - np.outer(Bs, Bs) / sBs
 
 
-# A stage ends after so many iterations, or rejected simulations, that changed
-# the cost by a smaller part of it, which no finer mesh would confirm, and the
-# violation by less, and did not bring the optimality error, once below 1, down
-# by a factor.
+# A stage ends after _PATIENCE iterations, or _REJECTED rejected simulations, in
+# which the cost changed by less than _PROGRESS (which no finer mesh would
+# confirm), the violation by less than _CLOSER, and the optimality error did not
+# fall below 1 and to _NEARER of its value.
 _PATIENCE, _REJECTED, _NEARER = 15, 60, 0.3
 _PROGRESS, _CLOSER = 2e-3, 1e-3  # of the cost, of the violation
 _OPTIONS = {
@@ -78,12 +78,12 @@ _OPTIONS = {
     "print_level": 0,
     "sb": "yes",
 }
-# Steps there are cut since contacts open and close along them: the next ones
-# are as short at once. Factors on the curvature for a rejected trial (two count
-# at most), for none, and the largest.
+# Contacts open and close along a step, so line searches cut it; a factor on the
+# Hessian makes the next steps as short at once. It grows by _STIFFER for each
+# rejected trial (two at most), shrinks by _SOFTER if none, up to _STIFFEST.
 _STIFFER, _SOFTER, _STIFFEST = 2.0, 1 / 1.5, 64.0
 WARM_BARRIER = 1e-7
-# From the optimum of a neighbouring problem: stay close to it.
+# IPOPT would otherwise push a warm start away from its bounds.
 _WARM = {
     "warm_start_init_point": "yes",
     "warm_start_bound_push": 1e-6,
@@ -94,7 +94,7 @@ _WARM = {
 }
 
 ITERATION_LIMIT = "iteration limit"
-# Neither 1, an acceptable point, nor 5, what `watch` ends, come out of it.
+# 1 (acceptable point) is switched off; 5 (ended by `watch`) is named elsewhere.
 _STATUS = {
     0: "optimal",
     2: "infeasible",
@@ -113,22 +113,22 @@ class Optimum:
         p: IPOPT's last design where it met its tolerance, else the best
             feasible one met (least cost, violation up to `FEASIBLE`), or the
             least infeasible where none was feasible.
-        cost: Its scaled cost.
+        cost: Scaled cost at p.
         status: IPOPT's return code in words.
         optimal: Whether IPOPT's tolerance was met.
         error: IPOPT's scaled optimality error at its last point.
         complementarity: Largest |multiplier × distance| of bounds and
             constraints at its last point.
-        multipliers: Of the constraints.
+        multipliers: Multipliers of the constraints, (m,).
         at_bounds: Multipliers of lower and upper bounds, (P,) each.
-        violation: Largest constraint violation at p.
-        latest: IPOPT's latest point, multipliers and barrier.
-        simulations: How many it took.
+        violation: Largest violation of the scaled constraints at p.
+        latest: IPOPT's latest point, multipliers and barrier parameter.
+        simulations: Number of simulations.
         trace: Rows (iteration, cost, violation, dual infeasibility).
-        former: Those that were the best before.
-        stage: Of a search, from 0.
-        seconds: What it took there.
-        cost_finer: Of one of several starts, its cost on a finer mesh.
+        former: Earlier values of p, the newest last.
+        stage: Stage of the search, from 0.
+        seconds: Computing time of the stage [s].
+        cost_finer: Cost on a finer mesh, to compare starts; None if unknown.
     """
 
     p: np.ndarray
@@ -149,7 +149,7 @@ class Optimum:
     cost_finer: float | None = None
 
     def consider(self, p: np.ndarray, cost: float, violation: float) -> None:
-        """Keep the better of this design and the best so far."""
+        """Take this design as p if it is better."""
         feasible = violation <= FEASIBLE
         better = cost < self.cost or self.violation > FEASIBLE
         if (feasible and better) or (
@@ -160,14 +160,14 @@ class Optimum:
 
     @property
     def rank(self) -> tuple:
-        """For comparisons: feasible ones first, then by their costs."""
+        """Sort key: feasible first, then by the cost on a finer mesh."""
         if self.violation > FEASIBLE:
             return True, 0.0, self.violation
         finer = np.inf if self.cost_finer is None else self.cost_finer
         return False, finer, self.cost
 
     def fall_back(self, problem: ShapeProblem) -> None:
-        """To the last best that can be simulated without a neighbour."""
+        """Go back to the last best p that a cold start can simulate."""
         if problem.evaluate(self.p) is not None:
             return
         self.status, self.optimal = "only followed from a neighbour", False
@@ -177,7 +177,7 @@ class Optimum:
 
 
 class _Callbacks:
-    """What IPOPT calls; derivatives are asked for at accepted points only."""
+    """IPOPT's callbacks; it asks for derivatives at accepted points only."""
 
     def __init__(
         self,
@@ -190,17 +190,17 @@ class _Callbacks:
         self.problem, self.curvature, self.best = problem, curvature, best
         self.say = say
         self.stop, self.stalled, self._error = Event(), False, None
-        # Cost, violation, error, iteration, rejections at the last change.
+        # Cost, violation, error, iteration, rejections at the last progress.
         self._mark = (np.inf, np.inf, np.inf, 0, 0)
         self._point, self._derivatives = None, None
         self._barrier = _OPTIONS["mu_init"]
-        # What the curvature is multiplied by, and simulations before that.
+        # Factor on the Hessian (see _STIFFER); simulations when it was set.
         self._refining, self._caution, self._before = refining, 1.0, None
 
     def at(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of cost (without regularization) and constraints.
 
-        Each point's once; it is an accepted one, whose branch is kept.
+        Computed once for each accepted point; its pose branch is kept.
         """
         if p.tobytes() != self._point:
             self._derivatives = self.problem.derivatives(p)
@@ -211,14 +211,15 @@ class _Callbacks:
 
     @property
     def raised(self) -> BaseException | None:
-        """What ends the search: the first error, or Ctrl-C (`stop`)."""
+        """The error that ends the search: the first one, or Ctrl-C."""
         return self._error or (
             KeyboardInterrupt() if self.stop.is_set() else None
         )
 
     def guarded(self, function, instead=np.nan):
-        """Errors must not surface inside IPOPT's C++: compute no more and stop
-        at the next iteration; they are raised again afterwards.
+        """The function, with its errors kept from IPOPT's C++.
+
+        After one nothing more is computed, and `minimise` raises it again.
         """
 
         def call(*args):
@@ -245,19 +246,19 @@ class _Callbacks:
         out[()] = self.at(p)[1].ravel()
 
     def hessian(self, p, multipliers, factor, out):
-        """Lower triangle; a factor of 0 is IPOPT's restoration."""
+        """Hessian's lower triangle; the factor is 0 in IPOPT's restoration."""
         if factor > 0:
             self.curvature.update(p, *self.at(p), multipliers / factor)
             self.best.latest = (p.copy(), multipliers / factor, self._barrier)
             self._adapt()
             factor *= self._caution
         else:
-            self._before = None  # what it simulates says nothing of steps
+            self._before = None  # restoration's trials are no rejected steps
         B = self.curvature.matrix + self.problem.regularization(p)[2]
         out[()] = max(factor, 1e-3) * B[np.tril_indices(len(p))]
 
     def _adapt(self) -> None:
-        """Shorter steps after rejected ones, longer ones else."""
+        """Adapt the factor on the Hessian to the trials rejected since."""
         done, before = self.problem.evaluations, self._before
         self._before = done
         if not self._refining or before is None:
@@ -267,7 +268,7 @@ class _Callbacks:
         self._caution = np.clip(factor * self._caution, 1.0, _STIFFEST)
 
     def watch(self, mode, iteration, cost, inf_pr, inf_du, barrier, *_):
-        """Note the iteration; False ends the run, where it leads nowhere."""
+        """Record the iteration; return False to end a run without progress."""
         self.best.trace.append((iteration, cost, inf_pr, inf_du))
         self.best.error, self._barrier = inf_du, barrier
         if self.say is not None:
@@ -284,7 +285,7 @@ class _Callbacks:
 
 
 def cost_and_violation(problem, p) -> tuple[float, float]:
-    """Cost and largest violation, infinite where nothing can be simulated."""
+    """Cost and largest violation; both infinite if the simulation fails."""
     values = problem.constraints(p)
     if not np.isfinite(values).all():
         return np.inf, np.inf
@@ -302,16 +303,16 @@ def minimise(
     hessian_approximation: QuasiNewton | None = None,
     warm=None,
 ) -> Optimum:
-    """Run IPOPT from p0, clipped into the bounds, numbers or (P,) each.
+    """Minimise the problem's cost with IPOPT, from p0 clipped to the bounds.
 
     Args:
-        problem, p0, bounds, iterations: What to minimise, and how long.
+        problem, p0: What to minimise, and from where (P,).
+        bounds, iterations: Lower and upper bound, numbers or (P,) each; limit.
         tolerance: IPOPT's scaled optimality error.
         on_iterate: Called with the iteration and the best so far.
-        refining: p0 is good already: rejected trials shorten the steps that
-            follow.
-        hessian_approximation: Curvature known already; learns more.
-        warm: Where an interrupted run stood, a `Checkpoint`.
+        refining: p0 is good already: rejected trials shorten later steps.
+        hessian_approximation: Approximation to start from; it is updated.
+        warm: `Checkpoint` of an interrupted run to continue.
     """
     n, m = len(p0), len(problem.names())
     p0, before = np.clip(p0, *bounds), problem.evaluations
@@ -337,7 +338,7 @@ def minimise(
         ipopt_options={
             "max_iter": iterations,
             "tol": tolerance,
-            # Of violations: far outside, a simulation says little.
+            # Caps the violation: far outside, a simulation says little.
             "theta_max_fact": max(0.1, 1.5 * outside),
             **_OPTIONS,
             **({**_WARM, "mu_init": warm.barrier} if warm else {}),
@@ -363,7 +364,7 @@ def minimise(
     best.multipliers, best.at_bounds = multipliers, (low, high)
     if problem.evaluate(p) is not None:
         _verify(problem, best, p, bounds, *calls.at(p))
-    # What comes next may be on any branch.
+    # From here on designs are simulated from a cold start.
     problem.leave_branch()
     best.fall_back(problem)
     best.simulations = problem.evaluations - before
@@ -371,7 +372,7 @@ def minimise(
 
 
 def _verify(problem, best, p, bounds, gradient, jacobian) -> None:
-    """Optimality at the last point p, by IPOPT's own formula, (5)."""
+    """Set error (Wächter and Biegler's (5)) and complementarity at p."""
     low, high = best.at_bounds
     gradient = gradient + problem.regularization(p)[1]
     values, lam = problem.constraints(p), best.multipliers

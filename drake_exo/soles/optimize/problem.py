@@ -1,9 +1,9 @@
 """The shape problem: cost, constraints and their gradients at a design.
 
-Design variables are the free coefficients of the spline, and of a walk that
-is sought with its sole its numbers. The last accepted design's history only
-gives first guesses. A failed simulation is NaN, which the solver takes as a
-rejected step; so is a first contact on another branch of poses.
+Design variables are the spline's free coefficients and, if a walk is sought
+with the sole, the walk's numbers. Simulations take first guesses from the last
+accepted design's history. A simulation that fails, or whose first contact is on
+another branch of poses, gives NaN, which IPOPT takes as a rejected step.
 """
 
 from copy import copy
@@ -40,31 +40,31 @@ from drake_exo.soles.simulation import (
 )
 
 _ELEMENT_SHARPNESS = 200.0
-_WORST_SHARPNESS = 40.0  # of the largest of some loads' costs
+_WORST_SHARPNESS = 40.0  # of the soft maximum of the loads' costs
 _WALK_SHARPNESS = 200.0  # of a walk's largest acceleration, sway and slip
-_ROUGHEST = 20.0  # how much farther the roughest change is, in `metric`
-_LEAST_QUALITY = 0.35  # of an element's own at rest
-# Of a sole's length: above the frame the spline has no other directions, and
-# left and right part.
+_ROUGHEST = 20.0  # extra weight of the roughest change, in `metric`
+_LEAST_QUALITY = 0.35  # of an element, over that of its undeformed shape
+# Part of a sole's length: above z = 0 the spline's angles are clipped, which
+# would tear left and right apart.
 _ABOVE = 1e-3
-_BEND = 0.1  # difference of a node from its neighbours that counts one
+_BEND = 0.1  # a node's difference from its neighbours that costs 1
 
 
 class ShapeProblem:
     """Minimise c_tr − w c_rot over shapes, or shape and walk, in one stage.
 
-    A design is the spline's k free coefficients, then the walk's G numbers,
-    each from 0 to 1 in its range; none where the step stays, P = k + G.
+    A design p (P,) is the spline's k free coefficients, then the walk's G
+    numbers, each from 0 to 1 in its range (none if the step stays), P = k + G.
 
     Attributes:
         setup: The initial shape, its step, cost and limits.
-        stage: What mesh (of s = 1), which samples, and what smoothed law, r
-            frozen; `picked` samples are simulated and weighted so that sums
-            stand for all.
-        finer: A finer mesh; None where it had too many elements.
-        gait: What of the walk is sought with it; None: the step stays.
-        branch: History of the last accepted design.
-        first: The initial shape, for the scales.
+        stage: Mesh of the undeformed shape, number of samples and smoothed law
+            (its r is frozen). Only the `picked` samples are simulated, weighted
+            so that sums stand for all.
+        finer: A finer mesh; None if it would have too many elements.
+        gait: What of the walk is sought as well; None if the step stays.
+        branch: History of the last accepted design, for first guesses.
+        first: The initial shape, simulated; it gives the scales.
     """
 
     def __init__(self, setup: Setup, stage: Stage):
@@ -121,7 +121,7 @@ class ShapeProblem:
         return np.append(np.ones(self.spline.count), self._own_walk)
 
     def within(self, bounds: tuple[float, float]) -> np.ndarray:
-        """Bounds of a design, (2, P), of those of a coefficient."""
+        """Lower and upper bounds of a design, (2, P), from a coefficient's."""
         shape = np.outer(bounds, np.ones(self.spline.count))
         walk = np.outer((0.0, 1.0), np.ones(len(self._own_walk)))
         return np.hstack([shape, walk])
@@ -146,7 +146,7 @@ class ShapeProblem:
         return self.mesh.with_nodes(self.stretch(p)[:, None] * self.mesh.nodes)
 
     def step(self, p: np.ndarray) -> Step:
-        """A design through all samples by the exact law, from a cold start."""
+        """Simulate all samples by the exact law, from a cold start."""
         setup = replace(self.setup, load=self.load_of(p))
         sole = setup.sole(self.deformed(p))
         return Step.by_exact_law(setup, sole, self.law.penalty)
@@ -185,7 +185,7 @@ class ShapeProblem:
         if history.failed_steps:
             return None
         if touches_elsewhere(sole, self.law, history, self.setup.ground):
-            # From here on all bare nodes may touch, in every design.
+            # A node not meant to touch did: from now on all bare nodes may.
             self.mesh, self.branch = self.mesh.touching_everywhere(), None
             self._sole = replace(self._sole, mesh=self.mesh)
             return self._simulate(p)
@@ -200,16 +200,16 @@ class ShapeProblem:
         )
 
     def _costs(self, e: Evaluation) -> np.ndarray:
-        """C of every contact phase, times its share, (K,)."""
+        """Cost c of every contact phase, times its share, (K,)."""
         K = e.history.K_c
         c = self.by_tr * sigma_max_translation(K)
         c = c - self.weight * self.by_rot * sigma_min_rotation(K)
         return np.add.reduceat(c, self.thinned.begins)
 
     def _combined(self, e: Evaluation) -> tuple[float, np.ndarray]:
-        """Scaled cost of all phases, and its derivatives by their c (K,).
+        """Mean or soft maximum of c / |c̄| over phases; its derivatives (K,).
 
-        The mean of c / |c̄|, or about the worst of them.
+        c̄ is the initial shape's; the derivatives are by the phases' c.
         """
         ratios, shares = self._costs(e) / self.scales, self.load.shares
         if self.settings.cost.of == "mean":
@@ -225,9 +225,9 @@ class ShapeProblem:
         return self._combined(e)[0] + self.regularization(p)[0]
 
     def cost_on_finer(self, p: np.ndarray) -> float | None:
-        """The cost of the design simulated on the finer mesh, if there is one.
+        """The design's cost on the finer mesh.
 
-        None, too, where it cannot be simulated there.
+        None if there is no such mesh or the simulation fails there.
         """
         if self.finer is None:
             return None
@@ -250,9 +250,9 @@ class ShapeProblem:
     def shape_limits(
         self, p: np.ndarray, mesh: TetMesh
     ) -> list[tuple[str, float, np.ndarray]]:
-        """Limits of a design, and its mesh, that take no simulation.
+        """Limits on the shape alone, of a design p and its deformed mesh.
 
-        Name, scaled value and its derivatives by the coefficients.
+        Name, scaled value and its derivatives (k,) by the coefficients, each.
         """
         full, by = self.limits["volume"], self.by_coefficients
         left, slope = 1 - mesh.volume / full, by(mesh.volume_gradient()) / full
@@ -275,24 +275,23 @@ class ShapeProblem:
         return np.array(values)
 
     def _worst(self, limits: dict[str, np.ndarray]):
-        """The least of each of the walk's limits; shares of their samples."""
+        """Soft minimum of each of the walk's limits; the samples' shares."""
         pairs = [soft_minimum(x, _WALK_SHARPNESS) for x in limits.values()]
         return tuple(map(list, zip(*pairs, strict=True)))
 
     def accept(self, p: np.ndarray) -> None:
-        """Take a design as accepted: later ones stay on its branch."""
+        """Accept a design: later ones stay on its branch of poses."""
         self.branch = replace(self.evaluate(p).history, linear=[])
 
     def leave_branch(self) -> None:
-        """The next design may stand on any."""
+        """Forget the accepted design: the next one may be on any branch."""
         self.branch, self._cache = None, {}
 
     def derivatives(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient of the cost (P,) and Jacobian of the constraints.
+        """Gradient of the cost (P,) and Jacobian of the constraints (m, P).
 
-        The regularization is left out: its derivatives are known exactly,
-        see `regularization`. By the walk through the adjoint by force and ZMP,
-        and through the plan.
+        Without the regularization, see `regularization`. Derivatives by the
+        walk chain the adjoint's, by force and ZMP, with those of the plan.
         """
         gradient, rows, by_load = self._derivatives(p)
         if not self.gait:
@@ -309,7 +308,7 @@ class ShapeProblem:
         )
 
     def _derivatives(self, p) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same by the shape, and `by_load`."""
+        """As `derivatives`, by the shape alone; those by the load (f, N, 5)."""
         e = self.evaluate(p)
         if e is None:
             raise RuntimeError("no derivatives where the simulation failed")
@@ -326,7 +325,7 @@ class ShapeProblem:
         return cost, np.array([*shape, *rows]), by_load
 
     def regularization(self, p: np.ndarray):
-        """Of the shape: value, gradient (P,), Hessian (P, P)."""
+        """Roughness cost of the shape: value, gradient (P,), Hessian (P, P)."""
         d, d0 = self._bends
         shape, walk = self._split(p)
         bend, factor = d @ shape + d0, self.roughness / len(d)
@@ -338,10 +337,10 @@ class ShapeProblem:
 
     @property
     def metric(self) -> np.ndarray:
-        """Sobolev's H² metric of shapes, (P, P): smooth changes are near.
+        """Sobolev H² metric of designs, (P, P): smooth changes count less.
 
-        A search that measures its first steps by it bends before it wrinkles,
-        and finds smoother optima. A walk's range is as far as a coefficient's.
+        As first Hessian it makes a search bend the shape before it wrinkles it,
+        and find smoother optima. A walk's number counts like a coefficient.
         """
         bends = self._bends[0].T @ self._bends[0]
         largest = np.linalg.eigvalsh(bends)[-1]
@@ -349,11 +348,10 @@ class ShapeProblem:
         return block_diag(shape, np.eye(len(self._own_walk)))
 
     def _elements(self, coefficients) -> tuple[float, np.ndarray]:
-        """Least quality of the elements above its floor, and its slope.
+        """Soft minimum of the elements' quality less its floor; slope (k,).
 
-        The continuous map never inverts; discretised, an element does once
-        s varies within it. A design stays one that its elements resolve: finer
-        ones keep their quality, too.
+        The continuous map never inverts, but an element in which s varies may.
+        The limit keeps to designs that these elements, and finer ones, resolve.
         """
         parts = [part.quality(coefficients) for part in self._whole]
         value, share = soft_minimum(
@@ -372,7 +370,7 @@ class ShapeProblem:
 
 
 class _Elements:
-    """Elements whose quality, over their own at rest, a design changes."""
+    """Quality of a mesh's elements in a design, over that at rest."""
 
     def __init__(self, mesh: TetMesh, spline: SphericalSpline):
         self._mesh = mesh
@@ -384,7 +382,7 @@ class _Elements:
         return self._mesh.with_nodes((M @ p + s0)[:, None] * self._mesh.nodes)
 
     def quality(self, p: np.ndarray) -> np.ndarray:
-        """Of every element, (e,)."""
+        """Quality of every element over that at rest, (e,)."""
         return self._moved(p).quality() / self._rest
 
     def slope(self, p: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -394,9 +392,9 @@ class _Elements:
 
 
 def sample_weights(load: Load, samples: int | None, fraction: float):
-    """Which samples of every phase to simulate; their factors in the sums.
+    """Samples of all phases to simulate, weights in c_tr and c_rot, (k,) each.
 
-    See `thinned`.
+    See `thinned`, which is applied to every phase.
     """
     parts = []
     for phase in load.phases:
@@ -406,11 +404,11 @@ def sample_weights(load: Load, samples: int | None, fraction: float):
 
 
 def thinned(total: int, samples: int | None, fraction: float):
-    """Which samples to simulate and what each counts in the sums.
+    """Samples of a phase to simulate, weights in c_tr and c_rot, (k,) each.
 
-    A third of them in heel strike, whose stiffness changes most from sample to
-    sample, or more where there are no others left; what lies between two counts
-    as linear in time. Picked, weights in c_tr and in c_rot, (k,) each.
+    A third of them is in heel strike, where stiffness changes most from sample
+    to sample (more if the rest has too few). Weights take stiffness as linear
+    in time between two of them.
     """
     strike = heel_strike_count(total, fraction)
     count = min(samples or total, total)
@@ -426,7 +424,7 @@ def thinned(total: int, samples: int | None, fraction: float):
 
 
 def _evenly(first: int, last: int, number: int):
-    """So many of the samples of a range; what each counts for."""
+    """About evenly spaced samples of a range; how many each stands for."""
     picked = np.linspace(first, last - 1, number).round().astype(int)
     hats = np.eye(number)
     every = np.arange(first, last)
@@ -436,11 +434,11 @@ def _evenly(first: int, last: int, number: int):
 
 
 def bends(mesh: TetMesh) -> csr_matrix:
-    """At bare nodes a field's mean over the neighbours less its own value.
+    """Matrix (k, n): at bare nodes a field's mean over neighbours less its own.
 
-    h²/4 to 3 h²/8 of its Laplacian on the surface, h the elements' size: what
-    the elements do not resolve counts, whatever the spline could. (k, n): nodes
-    at the rim of the fixed surface have no row.
+    This is h²/4 to 3 h²/8 of its surface Laplacian, h the elements' size, so it
+    counts what the elements do not resolve, however fine the spline. Nodes at
+    the rim of the fixed surface have no row.
     """
     faces = mesh.contact_faces
     edges = face_edges(faces)

@@ -1,15 +1,16 @@
-"""The search for a shape: several starts, then stage by stage.
+"""Search for the best shape: several starts, optimised stage by stage.
 
-After each stage but the last the better half of the starts goes on (successive
-halving: Jamieson and Talwalkar, AISTATS 2016). Starts are compared by their
-cost on a finer mesh: a gain that a design owes to the elements of its own mesh
-does not survive there. Where a walk is free, this search finds the sole for the
-case's own walk. From that sole, sole and walk then move together from several
-walks, and the best of these goes on. Ctrl-C leaves the best so far on disk.
+`search_jobs` lists a case's stages as jobs, `optimise` runs them. After each
+stage but the last the better half of the starts continues (successive halving:
+Jamieson and Talwalkar, AISTATS 2016). They are compared by cost on a finer
+mesh, where a gain that is only an artefact of a design's own mesh vanishes. A
+free walk is sought afterwards: from the sole for the case's own walk, sole and
+walk are optimised together from several walks, and the best goes through the
+last stage. Ctrl-C leaves a checkpoint of the best design so far.
 
-The front minimises c_tr alone under c_rot >= floor, from the lowest floor to
-the highest. The first point begins at the case's own optimum, each further one
-at the point before, with what was learnt of the curvature.
+`pareto_front` minimises c_tr alone subject to c_rot >= floor, lowest floor
+first. The first point starts from the case's own optimum, each later one from
+the point before; points share the Hessian approximation that they build up.
 """
 
 import shutil
@@ -54,26 +55,26 @@ from drake_exo.soles.settings import Setup, Stage, stage_mesh
 from drake_exo.soles.walking_pattern import Robot
 
 _CHECKPOINT_EVERY = 3  # iterations
-_WALKS = 4  # that are tried for each start
-_BEND, _WAVES = 0.03, 4  # of smooth random starts: size, waves along an axis
-# Of the strain that is allowed: what a stage changes, its scale does not know.
+_WALKS = 4  # walks tried per start
+_BEND, _WAVES = 0.03, 4  # random starts: amplitude, cosines along each axis
+# Share of the strain limit: the norm's scale is not updated within a stage.
 _STRAIN_AIM = 0.98
-_ROOM = 0.01  # of limits at the start
-# Bends drawn until one can be simulated, then smaller ones.
+_ROOM = 0.01  # margin to the scaled limits at the start
+# Random bends drawn at each size, largest first, until one can be simulated.
 _TRIES, _SIZES = 20, (1.0, 0.5, 0.25)
 
 
 @dataclass
 class Found:
-    """What a search has come to from one start, or from the best.
+    """State of a search from one start, or from the best of all starts.
 
     Attributes:
-        optima: Of the stages so far.
-        at: Where it stands.
-        seconds: What they took, in the end those of all starts.
-        start: Its number.
-        alone: Of a walk that is sought what the sole alone has come to; None
-            where an interrupted run knows no more than its coefficients.
+        optima: Outcome of every stage so far.
+        at: Checkpoint to continue from; None before a start's first stage.
+        seconds: Computing time of the stages [s]; of a best, of all starts.
+        start: Number of the start or walk, from 0.
+        alone: If a walk is sought, result for the sole alone; None if a
+            resumed run knows only that sole's coefficients.
     """
 
     optima: list[Optimum]
@@ -84,16 +85,16 @@ class Found:
 
     @property
     def stage(self) -> int:
-        """That it goes on with."""
+        """Number of the stage it continues with, from 0."""
         return self.optima[-1].stage + 1 if self.optima else self.at.stage
 
     @property
     def rank(self) -> tuple:
-        """Those that went further first, then by their newest optimum."""
+        """Sort key: most stages done first, then the better latest optimum."""
         return -self.stage, *self.optima[-1].rank
 
     def after(self, best: Optimum, at: Checkpoint) -> "Found":
-        """One stage further."""
+        """The state after one more stage, with its optimum and checkpoint."""
         seconds = self.seconds + best.seconds
         optima = [*self.optima, best]
         return replace(self, optima=optima, at=at, seconds=seconds)
@@ -107,14 +108,13 @@ def optimise(
     at_once: int = 1,
     bends: Sequence[int] | None = None,
 ) -> Design:
-    """Run the case's stages, as `Case.optimize` says.
+    """Run the case's stages and return the design, see `Case.optimize`.
 
-    While starts, or walks, are tried each has a folder below `out`; `bends` is
-    the shape of each start, see `start_design`, by default the brick and the
-    first bends.
+    While starts (or walks) are tried, each has a folder below `out`; `bends`
+    are the starts' shapes (see `start_design`), by default 0, 1, 2, ...
     """
     began = time.perf_counter()
-    if resume is not None:  # it may end before there is another checkpoint
+    if resume is not None:  # an interruption may come before the next one
         for start, begun in enumerate(resume.begun):
             if begun is not None:
                 _keep(begun, start_folder(out, start))
@@ -131,7 +131,7 @@ def optimise(
         row.result()
 
     with TemporaryDirectory() as logs:
-        # Where none run side by side, no other process is needed.
+        # Without jobs side by side no other process is needed.
         widest = max(Counter(job.needs for job in jobs).values())
         if min(at_once, widest) == 1:
             jobs, pool = [job.told(say=say) for job in jobs], Here()
@@ -151,10 +151,10 @@ def search_jobs(
     bends: Sequence[int] | None = None,
     name: str = "",
 ) -> list[Job]:
-    """The stages of a case as jobs, the last of which returns what is `Found`.
+    """The stages of a case as jobs; the last one returns the final `Found`.
 
-    Each takes an argument `say` more, called with one line of progress now
-    and then; `name` begins their names, the others are those of `optimise`.
+    They lack an argument `say`, called with one line of progress now and then.
+    `name` is a prefix of their names; the rest is as for `optimise`.
     """
     block, at = setup.settings.optimize, resume or Checkpoint()
     jobs, still = [], in_own_walk(setup)
@@ -207,10 +207,10 @@ def race(
     say,
     before=(),
 ) -> Found:
-    """One of the stages but the last (`number`, from 0), from a start.
+    """Run stage `number` (from 0, not the last) of one start.
 
-    `place` is the start's after the stage before, `begun` where it was
-    interrupted, if it was, `before` what jobs of earlier stages returned.
+    `place` is its rank after the stage before (at first its number), `begun` a
+    checkpoint if interrupted, `before` earlier jobs' results by name.
     """
     racer = Found([], begun, start=place)
     if before:
@@ -236,10 +236,10 @@ def in_walk(
     say,
     before=(),
 ) -> Found:
-    """The last stage but one, from the sole alone in one of several walks.
+    """Optimise sole and walk together from walk `number` of `count`.
 
-    Sole and walk move together. `before` is what the sole alone has come to,
-    or else `at` has it; `begun` is where the walk was interrupted, if it was.
+    This is the last stage but one. It starts from the sole alone: the result in
+    `before`, or else `at`. `begun` is the walk's checkpoint if interrupted.
     """
     alone = None
     if before:
@@ -259,16 +259,16 @@ def in_walk(
 
 
 def _racers(before) -> list[Found]:
-    """All starts, as far as they went."""
+    """The latest result of every start, of the jobs' results by name."""
     return list({racer.start: racer for racer in before.values()}.values())
 
 
 def go_on(
     setup: Setup, out, at: Checkpoint, say, before=(), is_alone: bool = False
 ) -> Found:
-    """The stages that are left to a checkpoint, or to the best of a race.
+    """Run the remaining stages from a checkpoint or the best of the starts.
 
-    What they come to is the sole alone of a walk that is sought, `is_alone`.
+    With `is_alone` the result is kept as the sole alone of a sought walk.
     """
     prefix = "sole alone, " if is_alone else ""
     found = Found([], at)
@@ -296,7 +296,7 @@ def go_on(
 
 
 def finished(setup: Setup, found: Found, say) -> Design:
-    """The design of a search; with its walk, where that is free."""
+    """The verified design of a search, with its walk if that is free."""
     began, design = time.perf_counter(), _verified(setup, found)
     if setup.gait:
         design = _with_walk(setup, design, found)
@@ -305,7 +305,7 @@ def finished(setup: Setup, found: Found, say) -> Design:
 
 
 def _verified(setup: Setup, found: Found) -> Design:
-    """Where a search stands, beside the limits of its last stage."""
+    """The design of a search, by the exact law and the last stage's limits."""
     stages = setup.settings.optimize.stages
     problem = ShapeProblem(setup, stages[-1])
     if len(stages) > 1:
@@ -315,20 +315,20 @@ def _verified(setup: Setup, found: Found) -> Design:
 
 
 def in_own_walk(setup: Setup) -> Setup:
-    """Nothing of its walk is free."""
+    """The setup with its walk fixed at the case's own."""
     return _walking(setup, setup.gait.robot) if setup.gait else setup
 
 
 def _walking(setup: Setup, robot: Robot) -> Setup:
-    """What is planned is this walk, whatever was free; the load stays."""
+    """The setup with this walk, fixed, in its settings; the load stays."""
     load = replace(setup.settings.load, pattern=replace(robot, free=()))
     return replace(setup, settings=replace(setup.settings, load=load))
 
 
 def _with_walk(setup: Setup, design: Design, found: Found) -> Design:
-    """Told what has become of its walk, and of the sole alone.
+    """The design with `gait`, its walk before and after, filled in.
 
-    That is the design where it is no worse: within its limits first, then by c.
+    It is the sole alone if that is no worse: within limits first, then by c.
     """
     gait = setup.gait
     at = replace(found.at, p=found.at.alone)
@@ -355,7 +355,7 @@ def _with_walk(setup: Setup, design: Design, found: Found) -> Design:
         "c_tr_sole_alone": own.c_tr,
         "c_rot_sole_alone": own.c_rot,
     }
-    # The case that is written has the samples that the search had.
+    # So that case.yaml gives as many samples as the search had.
     walk = replace(
         robots[1],
         period_s=gait.robot.period_s * spans[1] / spans[0],
@@ -368,15 +368,15 @@ def _with_walk(setup: Setup, design: Design, found: Found) -> Design:
 def from_start(
     setup: Setup, bend: int, number: int, at, out, say
 ) -> tuple[Optimum, Checkpoint]:
-    """A stage from one start, see `start_design`; where to go on.
+    """Run stage `number` from one start; its optimum, the next checkpoint.
 
-    `at` is where it stands, None to begin; `out` a folder for its
-    checkpoint, None for none.
+    `bend` is the start's shape, see `start_design`; `at` its checkpoint, None
+    to begin; `out` a folder for checkpoints, None for none.
     """
     began, block = time.perf_counter(), setup.settings.optimize
     rows = {} if at is None else {r.get("stage", 1): r for r in at.starts}
     if row := rows.get(number + 1):
-        # Finished before an interruption.
+        # The stage was finished before an interruption.
         done = Optimum(
             at.p, row["cost"], violation=row["violation"], stage=number,
             multipliers=at.multipliers, cost_finer=row.get("cost_finer"),
@@ -390,7 +390,7 @@ def from_start(
         )
         at = Checkpoint(p=p, latest=p, case=setup.name, key=setup.key)
     best, at = _run_stage(setup, number, at, out, say, problem)
-    # Outside of their limits they are compared by how far.
+    # Infeasible designs are compared by violation, without a finer mesh.
     compared = block.starts > 1 or setup.gait
     if compared and best.violation <= FEASIBLE:
         say(f"stage {number + 1}/{len(block.stages)}, on a finer mesh")
@@ -406,7 +406,7 @@ def from_start(
 
 
 def start_design(problem: ShapeProblem, bounds, bend: int) -> np.ndarray:
-    """The brick (bend 0) or a smooth random bend of it, within the volume."""
+    """Initial p (P,) within the volume: undeformed, or bent by seed `bend`."""
     if bend == 0:
         return first_design(problem, bounds)
     rng = np.random.default_rng(bend)
@@ -430,11 +430,11 @@ def _keep(at: Checkpoint, out: Path | None) -> None:
 
 
 def strain_scale(problem: ShapeProblem, p: np.ndarray) -> float:
-    """Largest strain of a design over the norm that stands for it.
+    """Ratio of a design's largest strain to the strain norm that is limited.
 
-    By the exact law with all samples: the norm is of all strains, of some
-    samples and of a smoothed law (adaptive scaling, as Le, Norato, Bruns, Ha
-    and Tortorelli 2010 have it for stresses). 1 where one cannot be simulated.
+    The largest strain is by the exact law with all samples; the norm is that
+    of the stage's samples and smoothed law (adaptive scaling: Le, Norato,
+    Bruns, Ha and Tortorelli 2010, for stresses). 1 if a simulation fails.
     """
     e = problem.evaluate(p)
     if e is None:
@@ -446,14 +446,14 @@ def strain_scale(problem: ShapeProblem, p: np.ndarray) -> float:
 
 
 def _scale(problem: ShapeProblem, at: Checkpoint) -> None:
-    """Limit the norm of strains as it stands for the largest one."""
+    """Scale the strain norm's limit so that the largest strain keeps its."""
     if "strain" in problem.limits:
         largest = _STRAIN_AIM * problem.limits["strain"] / at.strain_scale
         problem.limited["strain"] = partial(strain_limit, largest=largest)
 
 
 def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
-    """One stage from where it stands; the optimum, where to go on."""
+    """Run a stage from checkpoint `at`; its optimum, the next checkpoint."""
     began, block = time.perf_counter(), setup.settings.optimize
     problem = problem or ShapeProblem(setup, block.stages[number])
     at.check_fits(problem)
@@ -492,11 +492,11 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
 
 
 def settle(problem: ShapeProblem, p: np.ndarray) -> np.ndarray:
-    """The design, smoothed until this mesh can carry it.
+    """The design p (P,), smoothed just enough for this mesh to simulate it.
 
-    Elements that another mesh resolved may be inverted in this one; the
-    least smoothing that leaves them room and lets the step be simulated is
-    taken (a heat equation on the coefficients).
+    A design found on another mesh may invert elements of this one. Of
+    increasing amounts of smoothing (a heat equation on the coefficients), the
+    first is taken that keeps the elements' quality; p if none does.
     """
     H = problem.regularization(p)[2]
     eye = np.eye(len(p)) * np.abs(H).max()
@@ -506,14 +506,14 @@ def settle(problem: ShapeProblem, p: np.ndarray) -> np.ndarray:
         # Curvature about the undeformed shape, all ones.
         trial = 1.0 + np.linalg.solve(eye + amount * H, eye @ (p - 1.0))
         values = problem.constraints(trial)
-        # The optimum of the stage before is one to this tolerance.
+        # The stage before met its limits to this tolerance only.
         if np.isfinite(values).all() and values[1] >= -FEASIBLE:
             return trial
     return p
 
 
 def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:
-    """All coefficients one, or p, shrunk until the volume limit is met."""
+    """The undeformed design, or p (P,), shrunk until it meets the volume."""
     p, own = problem.undeformed if p is None else p, problem.spline.count
     for _ in range(60):
         if problem.deformed(p).volume <= 0.99 * problem.limits["volume"]:
@@ -523,10 +523,10 @@ def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:
 
 
 def nearest_allowed(problem: ShapeProblem, bounds, p) -> np.ndarray:
-    """The nearest design within the limits that take no simulation.
+    """The design nearest to p (P,) that meets the limits on shape alone.
 
-    In the metric of shapes; where none is found, as near to them as it comes.
-    A search that begins within them mostly stays there.
+    Nearest in `ShapeProblem.metric`; if none is found, the least-squares
+    compromise SLSQP ends with. A search that starts feasible mostly stays so.
     """
     p, walk = np.split(p, [problem.spline.count])
     low, high = (np.broadcast_to(b, len(p) + len(walk)) for b in bounds)
@@ -552,12 +552,12 @@ def nearest_allowed(problem: ShapeProblem, bounds, p) -> np.ndarray:
     return np.clip(np.append(nearest.x, walk), low, high)
 
 
-# A thick layer for the case's own optimum, then a thin one for all points.
+# Thick smoothing layer for the case's own optimum, thin one for the points.
 FRONT_STAGES = (
     Stage((10, 6, 3), 24, 3e-4, 0.2, 60),
     Stage((10, 6, 3), 72, 5e-5, 0.2, 60),
 )
-# Above the floor: the exact law with all samples has a c_rot up to 1 % lower.
+# Factor on a floor: the exact law with all samples gives up to 1 % less c_rot.
 _AIM = 1.01
 
 
@@ -568,7 +568,7 @@ def pareto_front(
     stages: tuple[Stage, Stage] = FRONT_STAGES,
     points: list[dict] | None = None,
 ) -> list[dict]:
-    """Find the least c_tr above every floor of c_rot, lowest floor first.
+    """Find the least c_tr for every floor (lower bound) of c_rot.
 
     >>> import drake_exo as dx
     >>> case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
@@ -583,13 +583,13 @@ def pareto_front(
         say: Called with one line of progress now and then.
         stages: One for the case's own optimum, and one for every point. A
             mesh that is no brick is used as it is, whatever they say.
-        points: List to fill as points are found, so that an interrupted
-            search leaves them.
+        points: List that is filled as points are found, so that they outlive
+            an interruption.
 
     Returns:
-        For every floor: case, floor, c_tr [N/m] and c_rot [N·m/rad] by the
-        exact law, their ratios to the initial shape's (ratio_tr and
-        ratio_rot), coefficients, optimality_error, violation and
+        For every floor, lowest first: case, floor, c_tr [N/m] and c_rot
+        [N·m/rad] by the exact law, their ratios to the initial shape's
+        (ratio_tr, ratio_rot), coefficients, optimality_error, violation and
         failed_steps.
 
     Raises:
@@ -635,21 +635,21 @@ def pareto_front(
         best = searched(problem, p, stages[1], title, approximation)
         found.append(_point_of_front(problem, best, floor, base))
         p = best.p
-        # What keeps a floor, or more of c_rot, is a point for any other.
+        # A later point may keep an earlier floor with less c_tr: choose anew.
         points[:] = [_best(found, own) for own in found]
     return points
 
 
 def _best(found: list[dict], own: dict) -> dict:
-    """Of least c_tr among those that keep a point's floor, or its c_rot."""
-    least = min(own["floor"], own["ratio_rot"])  # the floor, where that is NaN
+    """The least c_tr with c_rot above the floor of `own`, or its own c_rot."""
+    least = min(own["floor"], own["ratio_rot"])  # the floor if c_rot is NaN
     able = [point for point in found if point["ratio_rot"] >= least]
     best = min(able, key=lambda point: point["ratio_tr"], default=own)
     return best | {"floor": own["floor"]}
 
 
 def _point_of_front(problem, best, floor, base: Step) -> dict:
-    """What front.json says of a point, by the exact law."""
+    """A point of the front by the exact law, see `pareto_front`."""
     step = problem.step(best.p)
     return {
         "case": step.setup.name,
