@@ -1,13 +1,14 @@
-"""Quasi-static simulation of a sole through one contact phase.
+"""Quasi-static simulation of a sole through the samples of a step.
 
-Where to start: a flat start fails on curved soles, since at a few newtons
-only one to three nodes touch. Candidates lay the undeformed sole flat on each
-facet of its convex hull, least tilt first among those whose support holds the
-ZMP; the force then comes down from a larger one and the law from a smoother
-one. Each further sample starts from the one before.
+`simulate` solves one sample after another, each from the one before. The first
+sample of a contact phase needs a start of its own (`first_step`): a level foot
+fails on curved soles, where only one to three nodes touch at a few newtons. The
+undeformed sole is therefore laid flat on facets of its convex hull, least tilt
+first among those whose support holds the ZMP. From there the force is reduced
+from a larger one, and the contact law, if need be, sharpened from a smoother.
 
-The Cartesian stiffness about the ZMP is K_c, [dF; dΓ_Z] = K_c [dzO; dω]; its
-physical stiffness is −K_c (N/m, N, N, N·m/rad).
+The Cartesian stiffness about the ZMP is K_c, [dF; dΓ_Z] = K_c [dzO; dω]; the
+physical stiffness is −K_c (blocks in N/m, N, N, N·m/rad).
 """
 
 from collections.abc import Callable
@@ -33,17 +34,17 @@ from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.numerics import rotation_z, rotations_xyz
 
-# S: a length of 0.05 m makes the blocks of K_c comparable.
+# Diagonal of S: a length of 0.05 m makes the blocks of K_c comparable.
 STABILITY_SCALE = np.array([1.0] * 3 + [1.0 / 0.05] * 3)
 
 
 def sigma_max_translation(K_c: np.ndarray) -> np.ndarray:
-    """Largest singular value of the translational block [N/m]."""
+    """Largest singular value of K_c's translational block [N/m], (...)."""
     return _singular_values(K_c[..., :3, :3])[..., 0]
 
 
 def sigma_min_rotation(K_c: np.ndarray) -> np.ndarray:
-    """Smallest singular value of the rotational block [N·m/rad]."""
+    """Least singular value of K_c's rotational block [N·m/rad], (...)."""
     return _singular_values(K_c[..., 3:, 3:])[..., -1]
 
 
@@ -65,42 +66,42 @@ def stability(K_c: np.ndarray) -> np.ndarray:
 
 
 def heel_strike_count(samples: int, fraction: float = 0.1) -> int:
-    """Number of samples of heel strike: the first tenth, at least one."""
+    """Number of a phase's first samples that are heel strike, at least 1."""
     return max(1, int(fraction * samples + 1e-9))  # 0.29 · 100 < 29
 
 
 def sample_weights(
     load, fraction: float = 0.1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Factors of a load's samples in c_tr and c_rot, (N,) each.
+    """Weights of a load's samples in c_tr and c_rot, (N,) each.
 
-    Of one contact phase both are plain sums, over heel strike (that fraction
-    of its samples) and over all; of several the weighted means of their sums.
+    Of one contact phase c_tr is the sum over heel strike (the first `fraction`
+    of samples), c_rot over all; of several, the weighted mean of their sums.
     """
     counts, share = np.bincount(load.phase), load.shares[load.phase]
     early = [np.arange(n) < heel_strike_count(n, fraction) for n in counts]
     return np.concatenate(early) * share, share
 
 
-_MAX_TILT = np.deg2rad(80.0)  # from the ground's normal: more has tipped over
+_MAX_TILT = np.deg2rad(80.0)  # from the ground's normal: beyond, tipped over
 _SMOOTHING_LAYER, _SMOOTHING_KAPPA = 1e-4, 0.2
 _MAX_CANDIDATES = 12
 _LEAST_STEP = 1.0 / 256.0  # of the way to a load
-_LEAP = 0.1  # rad between designs
-_SAME = 1e-6  # rad; solutions are far closer than branches
+_LEAP = 0.1  # rad from a neighbouring design's pose: perhaps another branch
+_SAME = 1e-6  # rad; solutions of one branch are far closer than branches
 _LEAST_PART = 1 / 64  # of the time between samples
-_LARGEST = 1e30
+_LARGEST = 1e30  # larger numbers in a file are damage
 _TOGETHER = 64  # samples whose displacements are computed at a time
 _PATIENCE = 3  # times the Newton steps of a neighbouring design
-# Files of a simulation, and of that of the initial shape beside it.
+# Files of a simulation, and of the initial shape's beside a design.
 HISTORY, FIRST_HISTORY = "history.npz", "initial_history.npz"
 
 
 def candidate_poses(lP: np.ndarray, target: Target, ground) -> list[State]:
-    """Poses that lay the rest shape flat on a hull facet, best first.
+    """Poses that lay the undeformed sole flat on a hull facet, best first.
 
     Facets whose support holds the ZMP come first, by tilt; then the others, by
-    its distance from the support. An orientation that is asked for is the one.
+    the ZMP's distance from it. A prescribed orientation is the only candidate.
     """
     start, rotation = target.reference, target.rotation
     if rotation is not None:
@@ -109,7 +110,7 @@ def candidate_poses(lP: np.ndarray, target: Target, ground) -> list[State]:
         P = lP @ rotation.T + O
         O[2] = -(P[:, 2] - ground.height(P)).min()
         return [State(np.zeros_like(lP), O, rotation)]
-    # With the foot above: a flat surface alone has no hull.
+    # With the foot's origin above: a flat surface alone has no hull.
     points = np.vstack([lP, np.zeros(3)])
     hull = ConvexHull(points)
     normals, which = np.unique(
@@ -158,14 +159,15 @@ def first_step(
     near: State | None = None,
     patience: float = np.inf,
 ) -> tuple[State | None, Convergence]:
-    """Solve the first step of a contact phase, from a cold start.
+    """Solve the first sample of a contact phase, from a cold start.
 
     Every candidate is pressed into the ground at its own pose, by at least a
     fifth of the phase's largest |F| [N], so that enough nodes touch. Then force
-    and ZMP are led to the wanted ones: with the wanted law, else with a
-    smoother law that is sharpened afterwards. A pose turned far from the first
-    state `near` of a neighbouring design that does not follow from it either is
-    a leap, and fails. After `patience` Newton steps no other facet is tried.
+    and ZMP are moved to the wanted ones, with the wanted law, else with a
+    smoother one that is sharpened afterwards. If the pose found is turned far
+    from `near`, a neighbouring design's first state, and does not follow from
+    it either, it is on another branch: no state is returned. After `patience`
+    Newton steps no further facet is tried.
     """
     press = max(np.linalg.norm(target.force), 0.2 * largest_force)
     state, report = _cold_start(solver, target, press, patience)
@@ -178,7 +180,7 @@ def first_step(
 
 
 def _turn(a: State, b: State) -> float:
-    """Largest difference of two orientations' entries, about radians."""
+    """Largest difference of two orientations' entries, about in rad."""
     return float(np.abs(a.R - b.R).max())
 
 
@@ -195,7 +197,7 @@ def _cold_start(solver, target, press, patience):
     candidates = candidate_poses(solver.lP, target, solver.ground)
     up = solver.ground.normal(target.places_before(np.eye(3), solver.lP))
     total, tried, smoother = 0, 0, _smoother(solver.law)
-    # Where the law itself is as smooth, they would fail alike.
+    # Not if the law is as smooth itself: the same solve would fail again.
     ways = [[solver.law]] + [smoother] * (smoother[0] != solver.law)
     for guess in candidates:
         if total > patience:
@@ -217,7 +219,7 @@ def _cold_start(solver, target, press, patience):
 
 
 def _smoother(law) -> list:
-    """A smoother law, brought down to the wanted one."""
+    """Ever less smoothed contact laws, down to the wanted one."""
     return [
         replace(
             law,
@@ -229,7 +231,7 @@ def _smoother(law) -> list:
 
 
 def _lead(solver, target, guess, press, laws):
-    """From a pose to the target, with one law after the other."""
+    """Solve for the target from a pose, with one law after the other."""
     law = solver.law
     try:
         solver.law = laws[0]
@@ -248,15 +250,15 @@ def _lead(solver, target, guess, press, laws):
 
 
 def _press_in(solver, target, guess, press) -> tuple[State, Target, int]:
-    """Lower the sole at fixed orientation until it carries about `press`.
+    """Lower the sole at fixed orientation until it carries about `press` [N].
 
-    State, load that it carries, Newton steps taken.
+    Returns the state, the load that it carries and the Newton steps taken.
     """
     depth, total = 1e-4, 0
     force = np.array([0.0, 0.0, press])
     aim = replace(target, force=force, rotation=None, is_held=True)
     for _ in range(6):
-        # Afresh at every height: forces of a deeper one would stay behind.
+        # From no forces at every height: a deeper one's would remain.
         state = guess.copy()
         state.O[2] -= depth
         # The references follow the held pose, as for the first sample.
@@ -282,10 +284,10 @@ def follow_load(
     target: Target,
     guess: State | None = None,
 ) -> tuple[State, Convergence]:
-    """Newton at the target from a guess, else `lead`.
+    """Solve for the target by Newton from a guess, else by `lead`.
 
-    From the solution `state` for the load `before`; the references of the
-    load wanted hold all along.
+    `state` is the solution for the load `before`; the references are the
+    target's all along.
     """
     spent = 0
     if guess is not None:
@@ -299,10 +301,11 @@ def follow_load(
 
 
 def lead(solver, state, before: Target, target: Target):
-    """From equilibrium at `before` to `target`, bisecting the way.
+    """Move the load from `before` (equilibrium `state`) to `target` in parts.
 
-    In small or finite strain; the target's references hold all along. Last
-    equilibrium, report at the target, part of the way reached.
+    A part that fails is halved. In small or finite strain; the references are
+    the target's all along. Returns the last equilibrium, the report and the
+    part of the way reached.
     """
     done, step, total = 0.0, 1.0, 0
     while done < 1.0 and step >= _LEAST_STEP:
@@ -327,12 +330,11 @@ def refine_time(
     before: Target,
     target: Target,
 ) -> tuple[State, Convergence, np.ndarray]:
-    """To the target by samples in between, the load linear in time.
+    """Reach the target by samples in between, the load linear in time.
 
-    Unlike `follow_load`, every part is a step of its own: the references are
-    the places where the part before it has left the nodes. `state` and
-    `places` are those of `before`. The last state that was found, its report,
-    the places before it.
+    Unlike in `follow_load`, every part is a sample of its own: its references
+    are the nodes' places after the part before. `state` and `places` (m, 3) are
+    those at `before`. Returns the last state found, its report and references.
     """
     done, part, parts, total = 0.0, 0.5, 0, 0
     references = places
@@ -360,9 +362,9 @@ def refine_time(
 
 @dataclass
 class StepHistory:
-    """States of a sole over the samples of a contact phase.
+    """States of a sole over the N samples of a step.
 
-    A failed sample holds the last attempt's state and NaN in K_c.
+    A failed sample holds the last attempt's state, and NaN in K_c.
 
     Attributes:
         F: Forces of the ground on the contact nodes, world [N], (N, m, 3).
@@ -371,10 +373,10 @@ class StepHistory:
         P: Places of the contact nodes, world [m], (N, m, 3).
         K_c: Cartesian stiffness about the ZMP, (N, 6, 6).
         reports: Convergence of every sample.
-        between: Places (m, 3) just before samples to which others in
-            between have led.
-        linear: Linearisation of every sample, where they are kept.
-        friction: Coulomb's coefficient μ; None where a file does not say it.
+        between: By sample that was reached through others in between, its
+            references: places (m, 3) at the last of them.
+        linear: Linearisation of every sample, if kept.
+        friction: Coulomb's coefficient μ; None if a file lacks it.
     """
 
     F: np.ndarray
@@ -405,7 +407,7 @@ class StepHistory:
 def touches_elsewhere(
     sole: Sole, law: ContactLaw, history: StepHistory, ground: Ground = FLAT
 ) -> bool:
-    """Whether a bare node that was not to touch gets to the ground."""
+    """Whether a bare node outside the contact nodes reaches the ground."""
     others = np.setdiff1d(sole.mesh.bare, sole.mesh.contact)
     good = np.flatnonzero(history.converged)
     for first in range(0, len(good), _TOGETHER):
@@ -424,7 +426,7 @@ def write_history(
 ) -> None:
     """Write forces, poses, places and stiffness over time as NPZ.
 
-    Beside them μ, and the heights of a ground that is not flat.
+    Also mesh, μ, and the heights of a ground that is not flat.
     """
     known = {} if history.friction is None else {"friction": history.friction}
     np.savez_compressed(
@@ -459,10 +461,10 @@ _GROUND = dict(zip(ARRAYS, (("a",), ("b",), ("a", "b")), strict=True))
 
 
 def read_history(path: Path, remedy: str):
-    """What `write_history` wrote: mesh, times, StepHistory, ground.
+    """Read `write_history`'s file: mesh, times, StepHistory, ground.
 
     Raises:
-        InputError: It is missing or damaged; the remedy ends the message.
+        InputError: It is missing or damaged; the message ends with `remedy`.
     """
     data = read_arrays(path, remedy)
     wanted = _HISTORY | (_GROUND if ARRAYS[0] in data else {})
@@ -486,7 +488,7 @@ def read_history(path: Path, remedy: str):
         is_sound = len(fixed) + len(touching) == len(surface)
     if not is_sound:
         raise InputError(f"{path}: its mesh is damaged; {remedy}")
-    # Sides, too, where they may.
+    # The contact nodes may include sides.
     mesh = replace(mesh, fixed=fixed).with_contact(touching)
     return mesh, times, history, Ground.of_arrays(data)
 
@@ -502,20 +504,20 @@ def simulate(
     keep: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> StepHistory:
-    """Follow the desired force and ZMP sample by sample.
+    """Solve for the desired force and ZMP, sample by sample.
 
     Args:
         solver, load, start: The sole and its contact law, what is asked for,
             and how the sole is held just before contact.
         stop_at_failure: Leave the remaining samples out after a failure.
             Otherwise a sample that cannot be reached from the one before is
-            led to by samples in between, see `refine_time`.
-        near: History of a neighbouring design: a start on another branch
-            fails, so does a step that takes far more Newton steps, and its
-            increments are the first guess of this one's.
-        largest_force: |F| [N] for `first_step`; by default of these samples.
+            approached through samples in between, see `refine_time`.
+        near: History of a neighbouring design, whose increments are first
+            guesses. A start on another branch of poses then fails, and so does
+            a simulation that takes far more Newton steps than it.
+        largest_force: |F| [N] for `first_step`; by default the phase's.
         keep: Keep every sample's linearisation, for derivatives.
-        progress: Called with samples done and samples in all.
+        progress: Called with the number of samples done, and of all.
     """
     steps, m = len(load.times), len(solver.lP)
     history = StepHistory(
@@ -578,8 +580,8 @@ def simulate(
 
 
 def _alike(near: StepHistory, before: int, now: int, state: State) -> State:
-    """The state changed as a neighbour's is from one sample to another."""
+    """A guess: the state, changed as the neighbour's is between samples."""
     old, new = near.state(before), near.state(now)
-    # Rounding would grow from design to design without the projection.
+    # Projected onto rotations: rounding would grow from design to design.
     U, _, Vt = np.linalg.svd(new.R @ old.R.T @ state.R)
     return State(state.F + new.F - old.F, state.O + new.O - old.O, U @ Vt)
