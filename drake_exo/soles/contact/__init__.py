@@ -1,1 +1,1 @@
-"""Contact of the sole with the ground, with friction."""
+"""Contact of the sole with the ground: the node law and its solvers."""

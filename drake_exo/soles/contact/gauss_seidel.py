@@ -1,9 +1,9 @@
-"""The paper's way: Gauss–Seidel on the nodes inside a Newton on the pose.
+"""The paper's solver: Gauss–Seidel on the nodes inside a Newton on the pose.
 
-Algorithms 1, 3 and 4 with their misprints mended: nodes one by one, sticking
-first, else Newton on Alart–Curnier's equations with (21); sweeps stop early by
-the relaxation (25). Compiled with numba. Kept as the faithful reference;
-`newton.ContactSolver` is the default.
+Algorithms 1, 3 and 4 with their misprints corrected. Each sweep solves node
+after node: sticking if that holds, else slipping by Newton on Alart–Curnier's
+equations with (21). Sweeps stop early by the relaxation (25). Kept as the
+faithful reference; `newton.ContactSolver` is the default.
 """
 
 import numpy as np
@@ -22,13 +22,13 @@ from drake_exo.soles.numerics import njit
 
 _POSE_STEPS, _LOCAL_STEPS = 60, 60
 _WRENCH_TOLERANCE = 1e-10  # ε4, on the scaled wrench
-# λ of (25): sweeps as exact as that times the wrench's residual.
+# λ of (25): the sweeps' tolerance over the wrench's residual.
 _RELAXATION = 0.1
 _MAX_SWEEPS = 20000  # over all pose steps of a sample
 
 
 class GaussSeidelSolver(ContactSolver):
-    """Drop-in for `ContactSolver` by nested iterations.
+    """Drop-in replacement for `ContactSolver`, by nested iterations.
 
     Args:
         C, lP, law, ground: As for `ContactSolver`; the law must be exact.
@@ -43,7 +43,7 @@ class GaussSeidelSolver(ContactSolver):
         self.sweeps = 0
 
     def solve(self, state: State, target: Target) -> tuple[State, Convergence]:
-        """Pose Newton around sweeps; see `ContactSolver.solve`."""
+        """Solve as `ContactSolver.solve`: Newton on the pose around sweeps."""
         state = state.copy()
         state.O, state.R = target.turned(state.O, state.R)
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
@@ -75,7 +75,7 @@ class GaussSeidelSolver(ContactSolver):
         )
 
     def _sweeps(self, state: State, target: Target, tolerance) -> float:
-        """Algorithm 3 at the state's pose; updates its forces."""
+        """Algorithm 3: update the state's forces at its pose; last change."""
         R = state.R
         m = len(self.lP)
         Q, axes = self.ground.planes(target.places_before(R, self.lP))
@@ -93,13 +93,13 @@ class GaussSeidelSolver(ContactSolver):
         return change
 
     def _pose_step(self, state, point, target) -> None:
-        """Newton step (24) of the pose; forces follow in the next sweeps."""
+        """Take the Newton step (24) of the pose; sweeps then find the forces."""
         lin = self._linearisation(point, target)
         turn = target.turn(self.ground, state.R, self.lP[lin.nodes])
         dF, dp = lin.solve(0.0 * lin.F, point.wrench, target.asked, turn)
         step = capped(dp, 0.15, 0.01)
         new = move(state, np.zeros_like(state.F), step * dp, target.point)
-        # Forces predicted by the same linearisation start the next sweeps.
+        # The linearisation's forces are the next sweeps' start.
         new.F[lin.nodes] += step * dF
         normal = (point.axes[:, 2] * new.F).sum(axis=1)
         new.F[normal < 0] = 0.0
@@ -108,10 +108,10 @@ class GaussSeidelSolver(ContactSolver):
 
 @njit(fastmath=True)
 def _gauss_seidel(W, F, delta, mu, tolerance, max_sweeps):
-    """Sweeps until the relative change of F is below the tolerance.
+    """Sweep until the relative change of F is below the tolerance.
 
     F (m, 3) and delta = W F + delta_free (m, 3) are updated in place; only
-    nodes whose force changes cost a product with W.
+    nodes whose force changes cost a product with W. Last change, sweeps used.
     """
     m = F.shape[0]
     place = delta.reshape(3 * m)
@@ -158,7 +158,7 @@ def _gauss_seidel(W, F, delta, mu, tolerance, max_sweeps):
 
 @njit()
 def _slip(Waa, others, mu):
-    """One sliding node: Newton on Alart–Curnier's equations with (21)."""
+    """Force (3,) of a slipping node: Newton on Alart–Curnier's with (21)."""
     mean = 0.5 * (Waa[0, 0] + Waa[1, 1])
     spread = np.sqrt(
         0.25 * (Waa[0, 0] - Waa[1, 1]) ** 2 + Waa[0, 1] * Waa[1, 0]

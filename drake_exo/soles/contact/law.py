@@ -1,18 +1,17 @@
-"""What a node meets: Signorini's and Coulomb's law, and the ground.
+"""Contact law of a node (Signorini's and Coulomb's), and the ground.
 
-Residual φ = F − T(τ), τ = F − r δ (force F of the ground on the sole, place δ
-relative to its reference):
+The law is φ = 0 with the residual φ = F − T(τ), τ = F − r δ: F is the force of
+the ground on the node, δ the node's place relative to its reference, and
 
     p = plus_ε(τ_n),  g = μ p,  T = (τ_t / s, p),  s = 1 + plus_κ(|τ_t|/g − 1)
 
-ε = r ℓ (layer thickness ℓ) and κ smooth the corners twice differentiably;
-ε = κ = 0 is the exact law, at whose solution φ = 0 is the same as
-Alart–Curnier's. With D = ∂T/∂τ: ∂φ/∂F = I − D, ∂φ/∂δ = r D.
+the projection onto the friction cone. ε = r ℓ (layer thickness ℓ) and κ smooth
+its corners to be twice differentiable; ε = κ = 0 is the exact law, with the
+same solutions as Alart–Curnier's. With D = ∂T/∂τ: ∂φ/∂F = I − D, ∂φ/∂δ = r D.
 
-The ground is flat, or a bicubic spline through heights of a grid. A node meets
-the plane that touches it below the node's place at the sample before: exact
-for a slope and for nodes that stick, off by half the curvature times the
-square of a slip for others.
+The ground is flat, or a bicubic spline through heights on a grid. A node meets
+its tangent plane below the node's place at the sample before: exact on a slope
+and for nodes that stick, else off by half the curvature times the slip squared.
 """
 
 from dataclasses import dataclass
@@ -31,7 +30,7 @@ class ContactLaw:
 
     Attributes:
         friction: Coulomb's coefficient μ.
-        penalty: r [N/m], positive; scales the residual, frozen over designs.
+        penalty: r [N/m], positive; scales the residual, fixed over designs.
         layer: Thickness ℓ of the smoothed normal law [m]; 0 is exact.
         kappa: Width κ of the smoothed stick-slip corner; 0 is exact.
     """
@@ -49,9 +48,9 @@ class ContactLaw:
 
 @njit()
 def smooth_plus(x, width):
-    """max(x, 0) and its slope, the corner twice differentiable.
+    """max(x, 0) with a twice differentiable corner, and its slope.
 
-    It is on [-width, width]; x may be complex (complex-step derivatives).
+    The corner is [-width, width]; x may be complex (complex-step derivatives).
     """
     if x.real <= -width:
         return 0.0 * x, 0.0 * x
@@ -64,14 +63,14 @@ def smooth_plus(x, width):
 
 
 def project(tau: np.ndarray, law: ContactLaw) -> np.ndarray:
-    """T(τ) at nodes, in the axes of their planes, (k, 3) -> (k, 3)."""
+    """T(τ) [N] of nodes, both in the axes of their planes, (k, 3)."""
     return project_with_derivative(tau, law)[0]
 
 
 def project_with_derivative(
     tau: np.ndarray, law: ContactLaw
 ) -> tuple[np.ndarray, np.ndarray]:
-    """T(τ) and D = ∂T/∂τ at nodes: (k, 3), (k, 3, 3)."""
+    """T(τ) (k, 3) and D = ∂T/∂τ (k, 3, 3) of nodes, see `project`."""
     tau = np.ascontiguousarray(tau)
     return _project(tau, law.friction, law.epsilon, law.kappa)
 
@@ -87,7 +86,7 @@ def _project(tau, mu, epsilon, kappa):
 
 @njit()
 def project_node(tau, mu, epsilon, kappa, T, D):
-    """T(τ) and D at one node, into T (3,) and D (3, 3)."""
+    """Write T(τ) and D of one node into T (3,) and D (3, 3)."""
     p, dp = smooth_plus(tau[2], epsilon)
     g = mu * p
     T[:] = 0.0
@@ -101,7 +100,7 @@ def project_node(tau, mu, epsilon, kappa, T, D):
         T[0], T[1] = tau[0], tau[1]
         D[0, 0] = D[1, 1] = 1.0
         return
-    # T_t = scale τ_t: derivatives along τ_t beyond scale, and by g.
+    # T_t = scale τ_t; its derivatives along τ_t (less scale) and by g.
     if rho.real >= (1.0 + kappa) * g.real:  # slips
         scale = g / rho
         radial, by_g = -scale, 1.0 + 0.0 * scale
@@ -120,20 +119,20 @@ def project_node(tau, mu, epsilon, kappa, T, D):
 
 
 def firmly_sticking(tau: np.ndarray, law: ContactLaw) -> np.ndarray:
-    """Nodes where T is the identity: pressed beyond ε, inside the cone."""
+    """Which nodes have T(τ) = τ: pressed beyond ε and inside the cone, (k,)."""
     rho = np.hypot(tau[:, 0], tau[:, 1])
     cone = (1 - law.kappa) * law.friction * tau[:, 2]
     return (tau[:, 2] > law.epsilon) & (rho <= cone)
 
 
-_EDGE = 1e-10  # of the whole force: what Newton and rounding leave of a node's
+_EDGE = 1e-10  # of the whole force: error that a node's force is left with
 
 
 def at_rest(tau: np.ndarray, law: ContactLaw, force: np.ndarray) -> np.ndarray:
-    """τ (m, 3) in planes' axes, what is at the edge of the cone moved inside.
+    """τ (m, 3) in planes' axes, with nodes at the cone's edge moved inside it.
 
-    Nodes there have slipped and come to rest, and stick; rounding would tell
-    one from the other. `force` is that on the whole [N], (3,).
+    These slipped and came to rest, so they stick; else rounding would decide
+    whether they slip. `force` is the whole sole's [N], (3,).
     """
     left, along = _EDGE * np.linalg.norm(force), np.hypot(*tau[:, :2].T)
     rests = np.abs(along - law.friction * project(tau, law)[:, 2]) <= left
@@ -153,7 +152,7 @@ _ZMP_STEPS = 8  # of Newton's
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """Heights over a grid; without any, the plane z = 0.
+    """Ground: heights over a grid, or without any the plane z = 0.
 
     Attributes:
         x, y: Increasing grid lines [m], (a,) and (b,).
@@ -166,10 +165,10 @@ class Ground:
 
     @classmethod
     def of_table(cls, table: dict[str, np.ndarray], name: str) -> "Ground":
-        """Of columns `COLUMNS`, one row for every point of the grid.
+        """Make the ground from columns `COLUMNS`, a row for each grid point.
 
         Raises:
-            InputError: The points are no grid, too few, or too steep.
+            InputError: Points are no grid, too few, too far apart, too steep.
         """
         x, y, z = (table[key] for key in COLUMNS)
         (lines_x, i), (lines_y, j) = (
@@ -218,7 +217,7 @@ class Ground:
         return self._spline.ev(P[:, 0], P[:, 1], dx=dx, dy=dy)
 
     def height(self, P: np.ndarray) -> np.ndarray:
-        """Below places (k, 2) or (k, 3) [m], (k,) [m]."""
+        """Height of the ground [m], (k,), below places (k, 2) or (k, 3) [m]."""
         return np.zeros(len(P)) if self.is_flat else self._at(P)
 
     def slope(self, P: np.ndarray) -> np.ndarray:
@@ -231,7 +230,7 @@ class Ground:
         """Refuse a grid that does not reach below all places (k, 2) [m].
 
         Raises:
-            InputError: Says what is asked for.
+            InputError: Says where heights are needed.
         """
         if self.is_flat:
             return
@@ -246,16 +245,16 @@ class Ground:
             )
 
     def normal(self, P: np.ndarray) -> np.ndarray:
-        """Of the plane that fits the ground below places on the whole, (3,)."""
+        """Upward normal of the plane that fits the ground below P, (3,)."""
         n = np.append(-self.slope(P).mean(axis=0), 1.0)
         return n / np.linalg.norm(n)
 
     def planes(self, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What touches the ground below world places P (m, 3) [m].
+        """Tangent planes of the ground below world places P (m, 3) [m].
 
         Returns:
-            The places put onto these planes [m], (m, 3); the planes' axes as
-            rows, two along them and the normal, (m, 3, 3).
+            The places projected onto these planes [m], (m, 3); the planes'
+            axes as rows, two along them and the normal, (m, 3, 3).
         """
         if self.is_flat:
             return P * [1.0, 1.0, 0.0], np.tile(np.eye(3), (len(P), 1, 1))
@@ -271,9 +270,9 @@ class Ground:
         return P - gap[:, None] * n, axes
 
     def plane_derivatives(self, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """By the places, of the places on `planes` and of the planes' turns.
+        """Derivatives of `planes` by the places, (m, 3, 3) each.
 
-        (m, 3, 3) each; turns [rad/m].
+        Of the projected places, and of the planes' turn [rad/m].
         """
         level = np.tile(np.diag([1.0, 1.0, 0.0]), (len(P), 1, 1))
         if self.is_flat:
@@ -293,9 +292,9 @@ class Ground:
         return moved, hat(n) @ by_n
 
     def zero_moment_point(self, F: np.ndarray, P: np.ndarray) -> np.ndarray:
-        """On the ground, of forces F [N] at places P [m], (N, m, 3) each.
+        """ZMP on the ground with its height [m], (N, 3), of nodal forces.
 
-        With its height [m], (N, 3); NaN where there are none.
+        F [N] at places P [m], (N, m, 3) each; NaN without upward force.
         """
         out = np.full((len(F), 3), np.nan)
         there = F[:, :, 2].sum(axis=1) != 0
@@ -315,14 +314,14 @@ class Ground:
         return out
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """As they are kept in history.npz; nothing of a flat one."""
+        """The arrays to keep in history.npz; none of a flat ground."""
         if self.is_flat:
             return {}
         return dict(zip(ARRAYS, (self.x, self.y, self.z), strict=True))
 
     @classmethod
     def of_arrays(cls, kept) -> "Ground":
-        """What `arrays` gave, among others."""
+        """The ground whose `arrays` are among those kept, else the flat one."""
         if ARRAYS[0] not in kept:
             return FLAT
         return cls(*(kept[name] for name in ARRAYS))

@@ -1,12 +1,12 @@
-"""Newton matrix of the contact problem, eliminated onto few unknowns.
+"""Newton matrix of the contact problem, reduced to few unknowns.
 
 With S = C_AA⁻¹ of the compliance between the touching nodes A, the force
-increments follow from the place increments: dF = S (dδ − D_p dp). A firmly
-sticking node has dδ = −δ at once, so that only slipping nodes, those inside
-the smoothed layer, and the six pose unknowns remain. All matrices are in the
-sole frame here, so that S outlasts changes of the pose; as most Newton steps
-change the set of touching nodes by a few, S is bordered or deflated (O(n²) a
-node) instead of being factorised anew.
+increments follow from the place increments: dF = S (dδ − D_p dp). Firmly
+sticking nodes have dδ = −δ, so only slipping nodes, those inside the smoothed
+layer ("loose" nodes) and the six pose unknowns remain. Matrices are in the sole
+frame, so that S stays valid as the pose changes; most Newton steps change A by
+a few nodes, for which S is bordered or deflated (O(n²) per node) instead of
+being factorised anew.
 """
 
 from dataclasses import dataclass
@@ -23,12 +23,12 @@ from drake_exo.soles.contact.law import (
 from drake_exo.soles.elasticity import mirrored, node_dofs
 from drake_exo.soles.numerics import hat
 
-# Borderings accumulate rounding: start afresh after so many.
+# Updates of S accumulate rounding: factorise afresh after so many.
 _UPDATES_BEFORE_REFRESH = 80
 
 
 class ActiveSet:
-    """Ordered set of active contact nodes with S = C_AA⁻¹.
+    """Ordered set of active (touching) contact nodes with S = C_AA⁻¹.
 
     Attributes:
         nodes: Active contact nodes, in the order of S's blocks, (k,).
@@ -89,7 +89,7 @@ class ActiveSet:
             self._S[: len(old), : len(old)] = old
 
     def _remove(self, places: np.ndarray) -> None:
-        """Deflate: S11 − S12 S22⁻¹ S21, after moving `places` to the end."""
+        """Remove nodes at `places`: moved to the end, S11 − S12 S22⁻¹ S21."""
         k = len(self.nodes)
         tail = np.arange(k - len(places), k)
         movers = np.setdiff1d(tail, places)
@@ -108,7 +108,7 @@ class ActiveSet:
         self.nodes = self.nodes[: k - len(places)].copy()
 
     def _append(self, new: np.ndarray) -> None:
-        """Border: the inverse of [[C_AA, B], [Bᵀ, C_aa]]."""
+        """Append nodes: S becomes the inverse of [[C_AA, B], [Bᵀ, C_aa]]."""
         n, k = 3 * len(self.nodes), 3 * len(new)
         own, more = node_dofs(self.nodes), node_dofs(new)
         B = self._C[np.ix_(own, more)]
@@ -127,11 +127,11 @@ class ActiveSet:
 
 @dataclass(frozen=True)
 class Turn:
-    """How the planes that nodes meet follow the foot's turn, (k, 3, 3) each.
+    """How nodes' planes follow the foot's turn before contact, (k, 3, 3) each.
 
     Attributes:
-        places: Derivative of the nodes' references on them [m/rad].
-        axes: Of the planes' own turns.
+        places: Derivative of the nodes' references on the planes [m/rad].
+        axes: Derivative of the planes' own turns [rad/rad].
     """
 
     places: np.ndarray
@@ -139,14 +139,14 @@ class Turn:
 
 
 class Linearisation:
-    """Derivatives of node law and wrench at one state, active nodes only.
+    """Derivatives of node law and wrench at one state, k active nodes only.
 
     Args:
-        active: Active set with S; used at once, not kept beyond its update.
+        active: Active set with S; valid until its next update, see `kept`.
         law: Contact law.
-        point: What `ContactSolver` evaluates at the state, of all nodes: P_i −
+        point: `ContactSolver`'s evaluation at the state, of all nodes: P_i −
             Z_des [m] and forces [N], world, τ = F − r δ [N] in the axes of
-            the planes that they meet.
+            their planes.
     """
 
     def __init__(self, active: ActiveSet, law: ContactLaw, point):
@@ -182,9 +182,9 @@ class Linearisation:
     def _respond(self, T, known, phi_g=None, turned=None):
         """Solve dF = S dδ + S rhs for dF and dδ, (3k, c) each, sole frame.
 
-        T is S times both rhs and the dδ that are `known` (zero elsewhere,
-        filled). The law residual of the loose nodes is `phi_g` (3g,) in the
-        first column, and `turned` (3g, 3) in the last ones.
+        `known` is dδ of the firm nodes; the loose nodes' (0) are filled in. T
+        is S (known + rhs). The loose nodes' law residual is `phi_g` (3g,) in
+        the first column, and `turned` (3g, 3) in the last three.
         """
         if self._lu is None:
             return T, known
@@ -198,10 +198,10 @@ class Linearisation:
         return T + self._S_g @ x, known
 
     def pose_response(self, turn: Turn | None = None):
-        """What unit pose increments (dzO, dω) change, planes turning or not.
+        """Response to unit pose increments (dzO, dω), with `turn` of planes.
 
         Returns:
-            dF and dδ (k, 3, 6), [dF; dΓ] about the ZMP (6, 6).
+            dF and dδ of nodes, world, (k, 3, 6); [dF; dΓ] about the ZMP (6, 6).
         """
         T = self._S_times(self._against_pose(turn))
         turned = self._law_turned(turn)
@@ -210,7 +210,7 @@ class Linearisation:
         return *world, self._pose_wrench(*both, turn)
 
     def _law_turned(self, turn) -> np.ndarray | None:
-        """Of the loose nodes' law residual by planes that turn, (3g, 3).
+        """Derivative of loose nodes' law residual by turning planes, (3g, 3).
 
         T of a plane turned by α changes by α × T − D (α × τ).
         """
@@ -226,7 +226,7 @@ class Linearisation:
         return np.einsum("kji,kj->ki", self.axes, self.tau)
 
     def _pose_wrench(self, dF, dP, turn=None) -> np.ndarray:
-        """[dF; dΓ] of what columns change that end with `_against_pose`'s."""
+        """[dF; dΓ] about the ZMP of responses whose last 6 are the pose's."""
         if turn is not None:
             dP[:, -3:] += self._to_sole(turn.places)
         out = -self._arms.T @ dF
@@ -245,7 +245,7 @@ class Linearisation:
         return self._hats(self.F)
 
     def _against_pose(self, turn) -> np.ndarray:
-        """−D_p but for its part in F, (3k, 6)."""
+        """−D_p without its part in F, (3k, 6)."""
         if turn is None:
             return self._arms
         out = self._arms.copy()
@@ -253,9 +253,9 @@ class Linearisation:
         return out
 
     def _S_times(self, columns: np.ndarray) -> np.ndarray:
-        """S times columns that end with those of `_against_pose`, whole.
+        """S times columns that end with −D_p, given as `_against_pose`.
 
-        Their part in F needs no product: S W hat(F) = hat(F).
+        D_p's part in F needs no product: S W hat(F) = hat(F).
         """
         T = self.S @ columns
         T[:, -3:] -= self._turned
@@ -269,10 +269,10 @@ class Linearisation:
         return (self.R.T @ x).reshape(3 * len(self.nodes), -1)
 
     def solve(self, phi, wrench, asked, turn=None):
-        """Newton step dF (k, 3), world, and dp = (dzO, dω) (6,).
+        """Newton step dF (k, 3), world [N], and dp = (dzO, dω) (6,).
 
-        For law residual phi (k, 3) and wrench residual (6,), in the components
-        of both that are `asked` for, with planes that `turn`, if they do.
+        For residuals phi (k, 3) of the law and `wrench` (6,); dp and wrench
+        only in the components `asked`; `turn` if the planes turn.
         """
         local, dp = (phi @ self.R).reshape(-1, 1), np.zeros(6)
         # dδ of firm nodes, residual of the loose ones.
@@ -300,18 +300,18 @@ class Linearisation:
 
     @cached_property
     def frozen_response(self):
-        """`pose_response` where the references stay."""
+        """`pose_response` with the references frozen."""
         return self.pose_response()
 
     def kept(self) -> "Linearisation":
-        """Itself, for as long as it is needed: the active set goes on."""
+        """Itself, now independent of the active set's later updates."""
         self.S, self.nodes = self.S.copy(), self.nodes.copy()
         return self
 
     def solve_transposed(self, Sb: np.ndarray):
         """Solve J_Fᵀ z = b for b given as S b, world, (c, k, 3).
 
-        z, y = Bᵀ z = r Dᵀ z, and e = (I − D)ᵀ z with W y = b − e, likewise.
+        Returns z, y = Bᵀ z = r Dᵀ z, and e = (I − D)ᵀ z with W y = b − e.
         """
         local = (Sb @ self.R).reshape(len(Sb), -1)
         y, e, z_g = local, np.zeros_like(local), None
@@ -326,7 +326,7 @@ class Linearisation:
         return tuple(x.reshape(Sb.shape) @ self.R.T for x in (z, y, e))
 
     def times_S(self, x: np.ndarray) -> np.ndarray:
-        """W_AA⁻¹ times fields, world, (c, k, 3)."""
+        """S in world axes (W_AA⁻¹, W = R C Rᵀ) times fields x (c, k, 3)."""
         local = (x @ self.R).reshape(len(x), -1) @ self.S
         return local.reshape(x.shape) @ self.R.T
 

@@ -1,9 +1,9 @@
-"""Nodal forces and foot pose together by one semismooth Newton method.
+"""Equilibrium of one sample: nodal forces and foot pose by one Newton method.
 
-Unknowns: world forces F_i of the ground on the contact nodes and the foot's
-pose (O, R). Equations: the node law at every contact node, and force and
-moment about the desired ZMP. What depends on every contact node is compiled.
-Symbols as in docs/soles.md.
+The method is semismooth. Unknowns are the forces F_i of the ground on the
+contact nodes (world frame) and the foot's pose (O, R); equations are the law at
+every contact node, and force and moment about the desired ZMP. Loops over all
+contact nodes are compiled. Symbols as in docs/soles.md.
 """
 
 from dataclasses import dataclass, replace
@@ -31,9 +31,9 @@ from drake_exo.soles.numerics import (
 
 @njit()
 def deformed(C, lP, R, F):
-    """Y = R (lP + C Rᵀ F): places relative to O, world [m], (m, 3).
+    """Places of the contact nodes relative to O, world [m], (m, 3).
 
-    C, lP as in `ContactSolver`, F (m, 3) in the world; most are zero.
+    Y = R (lP + C Rᵀ F); C, lP as in `ContactSolver`, F (m, 3) in the world.
     """
     m = len(lP)
     u = np.zeros(3 * m)
@@ -50,7 +50,7 @@ def deformed(C, lP, R, F):
             u[j] += f0 * c0[j] + f1 * c1[j] + f2 * c2[j]
     Y = np.empty((m, 3))
     for i in range(m):
-        # Added last: rest positions are large against displacements.
+        # Added last: rest positions are large compared with displacements.
         x, y = lP[i, 0] + u[3 * i], lP[i, 1] + u[3 * i + 1]
         z = lP[i, 2] + u[3 * i + 2]
         for k in range(3):
@@ -62,9 +62,9 @@ def deformed(C, lP, R, F):
 def residual(P, F, Q, axes, zmp, r, mu, epsilon, kappa):
     """Residuals at world places P [m] and forces F [N], (m, 3) each.
 
-    Of Q and axes as of `Ground.planes`: τ = F − r δ in the planes' axes and
-    φ = F − T(τ) (m, 3) [N], arms P − ZMP (m, 3) [m], force and moment about
-    the ZMP (6,), largest |φ|.
+    Q and axes are those of `Ground.planes`. Returns τ = F − r δ in the planes'
+    axes and φ = F − T(τ) in the world, [N], arms P − ZMP [m], (m, 3) each,
+    force and moment about the ZMP (6,), and the largest |φ| [N].
     """
     m = len(P)
     tau, phi, arm = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))
@@ -90,13 +90,13 @@ def residual(P, F, Q, axes, zmp, r, mu, epsilon, kappa):
     return tau, phi, arm, wrench, largest
 
 
-# Increments (dzO, dω) of a free pose, of one whose orientation is given, of one
-# that is held; the same components of the wrench are asked for.
+# Indices of the unknowns (dzO, dω) of a free pose, of one whose orientation is
+# given, of one that is held; the wrench must be met in the same components.
 _WHOLE, _SHIFT, _NOTHING = np.arange(6), np.arange(3), np.arange(0)
-_SIZES = np.repeat([1.0, 0.05], 3)  # [m]: moments count over 50 mm in norms
+_SIZES = np.repeat([1.0, 0.05], 3)  # moments are divided by 50 mm in norms
 _MAX_TURN, _MAX_SHIFT = 0.15, 0.01  # caps on one Newton step: rad, m
 _HALVINGS, _MOST_STEPS = 6, 20
-_ALIKE = 0.15  # merits of steps that go in circles
+_ALIKE = 0.15  # relative difference of merits below which Newton cycles
 
 
 @dataclass(frozen=True)
@@ -114,15 +114,15 @@ class Start:
     yaw: float = 0.0
 
     def orientation(self, R: np.ndarray) -> np.ndarray:
-        """R_ini: that of the sole, with the yaw before contact."""
+        """R_ini (3, 3): the sole's orientation with the yaw before contact."""
         return R @ rotation_z(self.yaw - yaw_of(R))
 
     def places(self, R: np.ndarray, lP: np.ndarray) -> np.ndarray:
-        """Of nodes before contact, world [m], (m, 3)."""
+        """Places before contact of nodes at rest at lP, world [m], (m, 3)."""
         return self.point_W + (lP - self.point_L) @ self.orientation(R).T
 
     def places_by_turn(self, R, lP) -> np.ndarray:
-        """Their derivative by the turn, (m, 3, 3)."""
+        """Derivative of `places` by the foot's turn [m/rad], (m, 3, 3)."""
         gamma = np.array([0.0, R[1, 2], R[2, 2]]) / (1 - R[0, 2] ** 2)
         M = np.eye(3) - np.outer(R[:, 2], gamma)
         return -hat((lP - self.point_L) @ self.orientation(R).T) @ M
@@ -130,30 +130,30 @@ class Start:
 
 @dataclass
 class State:
-    """Forces and pose at one step: F (m, 3) [N], O (3,) [m], R (3, 3)."""
+    """Nodal forces F (m, 3) [N], world, and pose O (3,) [m], R (3, 3)."""
 
     F: np.ndarray
     O: np.ndarray  # noqa: E741
     R: np.ndarray
 
     def copy(self) -> "State":
-        """A copy, forces and pose with it."""
+        """A copy with forces and pose of its own."""
         return replace(self, F=self.F.copy(), O=self.O.copy(), R=self.R.copy())
 
 
 @dataclass
 class Target:
-    """What one step must reach.
+    """What one sample must reach, world frame.
 
     Attributes:
-        force: [N], (3,).
-        zmp: [m], (2,).
-        reference: Places at the sample before (m, 3), or a Start for the
-            first step.
-        moment: About the vertical through the ZMP [N·m].
-        rotation: Orientation (3, 3); where it is given, the force alone is
-            reached.
-        height: Of the ground at the ZMP [m].
+        force: Force of the ground [N], (3,).
+        zmp: Zero-moment point [m], (2,).
+        reference: Nodes' places at the sample before [m], (m, 3), or a Start
+            for the first sample.
+        moment: Moment about the vertical through the ZMP [N·m].
+        rotation: Prescribed orientation (3, 3); only the force is then met.
+            None if the orientation follows from ZMP and moment.
+        height: Height of the ground at the ZMP [m].
         is_held: The pose stays, and nodal forces alone are solved for (the
             paper's Algorithm 3); `force` only scales the residual.
     """
@@ -173,19 +173,19 @@ class Target:
 
     @property
     def asked(self) -> np.ndarray:
-        """Components of the wrench that are asked for, and of the pose."""
+        """Indices of the wrench's components to meet, and of the pose's."""
         if self.is_held:
             return _NOTHING
         return _WHOLE if self.rotation is None else _SHIFT
 
     def places_before(self, R: np.ndarray, lP: np.ndarray) -> np.ndarray:
-        """Of nodes at rest positions lP, world [m], (m, 3)."""
+        """References of nodes at rest positions lP, world [m], (m, 3)."""
         if isinstance(self.reference, Start):
             return self.reference.places(R, lP)
         return self.reference
 
     def turn(self, ground: Ground, R, lP) -> Turn | None:
-        """How the planes that nodes meet follow the turn, if they do."""
+        """How references and planes follow the turn before contact, or None."""
         if not isinstance(self.reference, Start):
             return None
         P = self.reference.places(R, lP)
@@ -193,7 +193,7 @@ class Target:
         return Turn(*(x @ by_turn for x in ground.plane_derivatives(P)))
 
     def partway(self, before: "Target", part: float) -> "Target":
-        """A part of the way from `before` to here, at this reference."""
+        """The target at a part (0 to 1) of the way from `before` to this."""
         rotation = self.rotation
         if rotation is not None and before.rotation is not None:
             turn = rotation_vector(rotation @ before.rotation.T)
@@ -208,9 +208,9 @@ class Target:
         )
 
     def about_own_zmp(self, F, P, ground: Ground) -> "Target":
-        """Itself; where the pose is given, about the ZMP that comes out.
+        """The target, with a given pose about the ZMP that comes out.
 
-        That of nodal forces F [N] at places P [m], world, (m, 3) each.
+        Which is that of nodal forces F [N] at places P [m], (m, 3) each.
         """
         if self.rotation is None:
             return self
@@ -218,14 +218,14 @@ class Target:
         return replace(self, zmp=zmp[:2], height=float(zmp[2]))
 
     def missed(self, wrench: np.ndarray) -> np.ndarray:
-        """What a wrench (6,) about the ZMP lacks where it is asked for."""
+        """Residual (6,) of a wrench about the ZMP; 0 where it is not asked."""
         out = np.zeros(6)
         aim = np.array([*self.force, 0.0, 0.0, self.moment])
         out[self.asked] = (wrench - aim)[self.asked]
         return out
 
     def turned(self, O, R) -> tuple[np.ndarray, np.ndarray]:  # noqa: E741
-        """Place and orientation turned about the ZMP as is asked for."""
+        """O and R, turned about the ZMP to a prescribed orientation if any."""
         if self.rotation is None:
             return O, R
         Z = self.point
@@ -234,7 +234,7 @@ class Target:
 
 @dataclass
 class Convergence:
-    """What a Newton solve reports."""
+    """Report of a Newton solve; `residual` is over the wanted force."""
 
     converged: bool
     iterations: int
@@ -250,8 +250,8 @@ class ContactSolver:
         C: Compliance of the contact nodes, sole frame [m/N], (3m, 3m).
         lP: Rest positions of the contact nodes, sole frame [m], (m, 3).
         law: The contact law.
-        tolerance: On the scaled residual's largest entry.
-        ground: What it stands on.
+        tolerance: Largest entry allowed of the scaled residual.
+        ground: The ground it stands on.
     """
 
     def __init__(
@@ -267,7 +267,7 @@ class ContactSolver:
 
     @classmethod
     def of(cls, sole: Sole, law: ContactLaw, **options) -> "ContactSolver":
-        """Of a sole."""
+        """The solver of a sole, with further arguments as `options`."""
         return cls(sole.compliance, sole.positions, law, **options)
 
     def places(self, state: State) -> np.ndarray:
@@ -275,7 +275,7 @@ class ContactSolver:
         return deformed(self.C, self.lP, state.R, state.F) + state.O
 
     def solve(self, state: State, target: Target) -> tuple[State, Convergence]:
-        """Newton from `state`, which stays; the last state and its report."""
+        """Solve from `state`, which is not changed; last state and report."""
         state = state.copy()
         state.O, state.R = target.turned(state.O, state.R)
 
@@ -297,15 +297,15 @@ class ContactSolver:
         if report.converged:
             point.state.F[~point.active] = 0.0
         else:
-            self.active.refresh()  # rounding of a way that led nowhere
+            self.active.refresh()  # drop rounding errors of a failed solve
         return point.state, report
 
     def linearise(
         self, state: State, target: Target, P: np.ndarray
     ) -> Linearisation:
-        """Derivatives at a solution, references frozen, nodes at P (m, 3).
+        """Linearise at a solution with its nodes at P (m, 3), world [m].
 
-        About the ZMP, of a given pose the forces' own.
+        About the ZMP; with a given pose, about the one that comes out.
         """
         target = target.about_own_zmp(state.F, P, self.ground)
         point = self._evaluate(state, target, 1.0, P)
@@ -333,7 +333,7 @@ class ContactSolver:
         return Linearisation(self.active, self.law, point)
 
     def _direction(self, point, target):
-        """Newton step (dF, dzO, dω) at a point, inactive forces released."""
+        """Newton step dF, (dzO, dω) at a point, inactive forces set to zero."""
         state = point.state
         stray = ~point.active & np.any(state.F != 0.0, axis=1)
         if stray.any():  # their Newton step is dF = −F: take it at once
@@ -360,10 +360,10 @@ class ContactSolver:
 def newton(
     point, improved, tolerance: float, most: int
 ) -> tuple["_Point", Convergence]:
-    """Newton's iterations from a point with a `merit`; the last and a report.
+    """Iterate from a point with a `merit`; the last point and a report.
 
-    `improved` gives the next point, or raises where there is none; at most so
-    many steps are taken, until the merit is within the tolerance.
+    `improved` gives the next point, or raises LinAlgError. Ends when the merit
+    is within the tolerance, after `most` steps, or when merits cycle.
     """
     history, message = [point.merit], ""
     while not (
@@ -390,7 +390,7 @@ def wrench_size(wrench: np.ndarray) -> float:
 
 
 def capped(dp: np.ndarray, turn: float, shift: float) -> float:
-    """Part of a pose increment (6,) that stays within caps [rad, m]."""
+    """Largest step, at most 1, of a pose increment (6,) in caps [rad, m]."""
     return min(
         1.0,
         turn / max(np.linalg.norm(dp[3:]), 1e-300),
@@ -399,7 +399,7 @@ def capped(dp: np.ndarray, turn: float, shift: float) -> float:
 
 
 def line_search(point, trial, step: float, halvings: int):
-    """The first point of less merit, halving the step; else the best met.
+    """The first point of less merit as the step is halved, else the best met.
 
     `trial` gives the point, with a `merit`, that a step leads to.
     """
@@ -415,7 +415,7 @@ def line_search(point, trial, step: float, halvings: int):
 
 
 def _goes_in_circles(merits: list[float]) -> bool:
-    """Whether the last three steps were much the same as those before."""
+    """Whether the last three merits are much the same as the three before."""
     if len(merits) < 6:
         return False
     before, last = np.array(merits[-6:-3]), np.array(merits[-3:])
@@ -424,7 +424,7 @@ def _goes_in_circles(merits: list[float]) -> bool:
 
 @dataclass
 class _Point:
-    """Everything evaluated at one state."""
+    """State with its residuals, see `residual`; `wrench` is what is missed."""
 
     state: State
     P: np.ndarray
@@ -438,7 +438,7 @@ class _Point:
 
 
 def move(state: State, dF, dp, Z) -> State:
-    """State after force increments and a pose increment (dzO, dω) about Z."""
+    """State after dF (m, 3) and a pose increment (dzO, dω) about Z."""
     turn = exp_rotation(dp[3:])
     O = Z + turn @ (state.O - Z) + dp[:3]  # noqa: E741
     return State(state.F + dF, O, turn @ state.R)
