@@ -1,18 +1,18 @@
-"""Linear elasticity of the sole, condensed onto contact nodes, and by shape.
+"""Linear elasticity of the sole: compliance of its contact nodes, derivatives.
 
-K_ab = V [μ (g_a·g_b I + g_b g_aᵀ) + λ g_a g_bᵀ]; K_ff N = E, C = Eᵀ N (paper,
-(7)-(9)), in the sole frame. Averages around edges and nodes: Nguyen-Thoi, Liu,
+Element stiffness K_ab = V [μ (g_a·g_b I + g_b g_aᵀ) + λ g_a g_bᵀ], condensed to
+the compliance C: K_ff N = E, C = Eᵀ N (paper, (7)-(9)), in the sole frame.
+"Smoothed" elements average strains around edges and nodes: Nguyen-Thoi, Liu,
 Lam, Zhang, Int. J. Numer. Meth. Engng 78, 2009; Bonet and Burton, Commun.
 Numer. Meth. Engng 14, 1998.
 
-Nested dissection by places (George, SIAM J. Numer. Anal. 10, 1973) halves the
-nodes until few are left; a front is what a separator and its neighbours among
-later ones make of a dense matrix (multifrontal method: Duff and Reid, ACM
-Trans. Math. Softw. 9, 1983). Contact nodes come last, all together.
+K is factorised by the multifrontal method (Duff and Reid, ACM Trans. Math.
+Softw. 9, 1983): nested dissection by places (George, SIAM J. Numer. Anal. 10,
+1973) halves the nodes until few are left; a front is the dense matrix of a
+separator and its neighbours among later nodes. Contact nodes come last.
 
-By the node positions: dC = −Nᵀ dK N, so that all that is needed are
-derivatives of wᵀ K w for fields w held at the nodes, all together of one
-matrix Σ λ w wᵀ.
+Derivatives by the node positions follow from dC = −Nᵀ dK N: derivatives of
+Σ λ wᵀ K w for fixed nodal fields w, all from the one matrix Σ λ w wᵀ.
 """
 
 from dataclasses import dataclass, replace
@@ -28,18 +28,18 @@ from drake_exo.errors import InputError
 from drake_exo.soles.mesh import TetMesh
 from drake_exo.soles.numerics import njit
 
-_FEW = 48  # nodes of a leaf
+_FEW = 48  # nodes that are halved no further
 _BLOCK = 32  # rows that are mirrored at a time
 
 
 @dataclass(frozen=True)
 class Front:
-    """Nodes eliminated together and those of later fronts beside them.
+    """Nodes eliminated together, and the later nodes coupled to them.
 
     Attributes:
-        own: Nodes, (k,).
-        border: Later nodes that they or their descendants touch, sorted, (b,).
-        children: Numbers of the fronts whose borders end here.
+        own: Nodes eliminated here, (k,).
+        border: Later nodes coupled to them, in order of elimination, (b,).
+        children: Numbers of the fronts whose updates are added here.
     """
 
     own: np.ndarray
@@ -48,14 +48,14 @@ class Front:
 
 
 class SparseCholesky:
-    """K = L Lᵀ of a symmetric positive definite matrix.
+    """Factorisation K = L Lᵀ of a symmetric positive definite matrix.
 
     Args:
-        K: The matrix of all dofs, blocks of three, (3n, 3n).
-        fronts: What `fronts_of` makes of its pattern.
+        K: The matrix, in blocks of three dofs, (3n, 3n).
+        fronts: Fronts of its pattern, see `fronts_of`.
 
     Attributes:
-        last_inverse: The block of K⁻¹ of the last nodes' dofs, (3m, 3m).
+        last_inverse: Block of K⁻¹ of the last front's dofs, (3m, 3m).
 
     Raises:
         LinAlgError: K is not positive definite.
@@ -63,7 +63,7 @@ class SparseCholesky:
 
     def __init__(self, K: bsr_matrix, fronts: list[Front]):
         self._count = K.shape[0]
-        self._parts = []  # own dofs, border's dofs, factor, rows below
+        self._parts = []  # own dofs, border's dofs, their blocks of L
         place, updates = np.full(self._count // 3, -1), {}
         for number, front in enumerate(fronts):
             both = np.concatenate([front.own, front.border])
@@ -71,7 +71,7 @@ class SparseCholesky:
             k, b = 3 * len(front.own), 3 * len(front.border)
             A = np.zeros((k + b, k), order="F")
             _collect(A, K.indptr, K.indices, K.data, front.own, place)
-            # Lower triangles are enough: borders lie in order.
+            # Lower triangles are enough: borders are in elimination order.
             update = np.zeros((b, b), order="F")
             for child in front.children:
                 where = place[fronts[child].border]
@@ -89,11 +89,11 @@ class SparseCholesky:
                 self._parts.append((own, border, factor, below))
         self._root = node_dofs(fronts[-1].own)
         inverse, _ = dpotri(factor, lower=1, overwrite_c=1)
-        # Symmetric: turned so that its rows lie together in memory.
+        # Symmetric: transposed for rows that are contiguous in memory.
         self.last_inverse = mirrored(inverse).T
 
     def solve(self, b: np.ndarray) -> np.ndarray:
-        """K⁻¹ b, (3n, c)."""
+        """K⁻¹ b of right-hand sides b, (3n, c)."""
         x = np.array(b, dtype=float)
         for own, border, factor, below in self._parts:
             y = dtrsm(1.0, factor, x[own], lower=1)
@@ -103,13 +103,13 @@ class SparseCholesky:
         return self._substituted(x)
 
     def carry(self, b: np.ndarray) -> np.ndarray:
-        """K⁻¹ of what is b at the last dofs, (3m, c), and zero elsewhere."""
+        """K⁻¹ (3n, c) times what is b (3m, c) at the last dofs, else zero."""
         x = np.zeros((self._count, b.shape[1]))
         x[self._root] = self.last_inverse @ b
         return self._substituted(x)
 
     def _substituted(self, x: np.ndarray) -> np.ndarray:
-        """Backwards from the last dofs, in place."""
+        """Back substitution from the last dofs, in place."""
         for own, border, factor, below in reversed(self._parts):
             y = x[own] - below.T @ x[border]
             x[own] = dtrsm(1.0, factor, y, lower=1, trans_a=1)
@@ -117,13 +117,13 @@ class SparseCholesky:
 
 
 def node_dofs(nodes: np.ndarray) -> np.ndarray:
-    """Dofs 3i, 3i+1, 3i+2 of nodes, (3k,)."""
+    """Dofs 3i, 3i+1, 3i+2 of nodes i (k,), (3k,)."""
     return (3 * np.asarray(nodes)[:, None] + np.arange(3)).ravel()
 
 
 @njit()
 def _collect(A, indptr, indices, data, own, place):
-    """The matrix's columns of a front's own nodes: those rows it has."""
+    """Copy the columns of a front's own nodes into A, at its rows."""
     for j in range(len(own)):
         for entry in range(indptr[own[j]], indptr[own[j] + 1]):
             i = place[indices[entry]]
@@ -135,11 +135,11 @@ def _collect(A, indptr, indices, data, own, place):
 
 @njit()
 def _extend(A, update, new, where):
-    """Add a child's update to its place in both parts of a front."""
+    """Add a child's update to a front's own columns A and its update."""
     k, b = A.shape[1], len(where)
     for j in range(3 * b):
         column = 3 * where[j // 3] + j % 3
-        # Of the node's own block the part above the diagonal is not used.
+        # A node's diagonal block is added whole: its upper part is not used.
         for node in range(j // 3, b):
             row = 3 * where[node]
             for i in range(3):
@@ -151,7 +151,7 @@ def _extend(A, update, new, where):
 
 @njit()
 def mirrored(lower):
-    """A symmetric matrix from its lower triangle, in place."""
+    """Fill a symmetric matrix's upper triangle from its lower one, in place."""
     n = len(lower)
     for first in range(0, n, _BLOCK):
         last = min(first + _BLOCK, n)
@@ -164,9 +164,9 @@ def mirrored(lower):
 def fronts_of(
     graph: csr_matrix, places: np.ndarray, last: np.ndarray
 ) -> list[Front]:
-    """Fronts in the order of elimination, some nodes last, together.
+    """Fronts in the order of elimination, the nodes `last` in the last one.
 
-    Of which nodes touch (n, n), their places (n, 3), and the last (m,), m > 0.
+    From the graph of coupled nodes (n, n), their places (n, 3), last (m,).
     """
     others = np.setdiff1d(np.arange(len(places)), last)
     parts: list[tuple[np.ndarray, list[int]]] = []
@@ -186,9 +186,9 @@ def fronts_of(
 
 
 def _dissect(graph, places, nodes, parts) -> list[int]:
-    """Add the parts of some nodes, separators after what they separate.
+    """Append parts (own nodes, children), separators after what they separate.
 
-    Numbers of the parts whose borders may lie beyond these nodes.
+    Numbers of the parts that are children of whatever separator comes next.
     """
     if len(nodes) == 0:
         return []
@@ -207,14 +207,14 @@ def _dissect(graph, places, nodes, parts) -> list[int]:
 
 
 def _cost(halves) -> float:
-    """Of a cut: its nodes over those of the smaller half."""
+    """Cost of a cut: separator nodes over those of the smaller half."""
     low, high, separator = halves
     least = min(len(low), len(high))
     return len(separator) / least if least else np.inf
 
 
 def _halves(graph, places, nodes, axis):
-    """Low and high half along an axis, and the high nodes between them."""
+    """Nodes split along an axis: low, high, and the separator (of the high)."""
     x = places[nodes, axis]
     high = x > np.median(x)
     is_low = np.zeros(len(places), dtype=np.int32)
@@ -227,7 +227,7 @@ Element = Literal["linear", "smoothed"]
 
 
 def gradient_operators(mesh: TetMesh) -> list[csr_matrix]:
-    """∂/∂x, ∂/∂y, ∂/∂z of a nodal field in every element, (e, n) each."""
+    """Matrices of ∂/∂x, ∂/∂y, ∂/∂z of a nodal field in elements, (e, n)."""
     e, n = len(mesh.tets), len(mesh.nodes)
     rows, cols = np.repeat(np.arange(e), 4), mesh.tets.ravel()
     return [
@@ -275,14 +275,14 @@ MATERIALS = {
 
 @dataclass(frozen=True)
 class Pattern:
-    """Which blocks of a stiffness matrix there are, wherever the nodes are.
+    """Sparsity of a stiffness matrix, whatever the nodes' positions.
 
     Attributes:
-        nodes: Rows of the matrix, (k,).
+        nodes: Mesh nodes that are the matrix's rows, (k,).
         around: Elements around every edge and around every node, pairs
             (indptr, elements); empty for linear elements.
-        graph: Which of its rows touch, (k, k).
-        fronts: In which its nodes are eliminated, contact nodes last.
+        graph: Which of its rows are coupled, (k, k).
+        fronts: Fronts in which they are eliminated, contact nodes last.
     """
 
     nodes: np.ndarray
@@ -292,7 +292,7 @@ class Pattern:
 
     @classmethod
     def of(cls, mesh: TetMesh, nodes: np.ndarray, element: Element):
-        """Of some nodes, the others fixed; contact nodes are among them."""
+        """Pattern of free nodes, contact nodes among them; others are fixed."""
         tets, around = mesh.tets, []
         corners = _incidence(tets, len(mesh.nodes))
         graph = corners.T @ corners
@@ -310,7 +310,7 @@ class Pattern:
 
 
 def _incidence(owner: np.ndarray, count: int | None = None) -> csr_matrix:
-    """Elements (rows) and what they have."""
+    """Incidence of elements (rows) with their nodes or edges `owner`."""
     rows = np.repeat(np.arange(len(owner)), owner.shape[1])
     ones = np.ones(owner.size, dtype=np.int32)
     count = owner.max() + 1 if count is None else count
@@ -318,7 +318,7 @@ def _incidence(owner: np.ndarray, count: int | None = None) -> csr_matrix:
 
 
 def assembled(mesh, material, pattern: Pattern) -> bsr_matrix:
-    """The stiffness of a pattern's nodes, the others fixed [N/m]."""
+    """Stiffness matrix of a pattern's nodes, the others fixed [N/m]."""
     graph = pattern.graph
     data = np.zeros((graph.nnz, 3, 3))
     for groups in groups_of(mesh, material, pattern):
@@ -329,10 +329,10 @@ def assembled(mesh, material, pattern: Pattern) -> bsr_matrix:
 def groups_of(mesh: TetMesh, material: Material, pattern: Pattern):
     """Groups of elements over which strains are averaged, for compiled code.
 
-    A tuple for each part of the energy: where each group begins among the
-    elements that follow, (k + 1,); tets; gradients of their shape functions;
-    what an element gives to each of its groups [m³], (e,); μ and λ [Pa]; rows
-    of the nodes in the matrix, -1 where fixed.
+    One tuple for each part of the energy: where each group begins (k + 1,) in
+    an array of elements; that array; tets; gradients of their shape functions;
+    volume that an element gives to each of its groups [m³], (e,); μ and λ
+    [Pa]; matrix row of every node, -1 if fixed.
     """
     shear = material.shear_modulus
     bulk = material.lame_lambda + 2 / 3 * shear
@@ -352,10 +352,10 @@ def groups_of(mesh: TetMesh, material: Material, pattern: Pattern):
 
 @njit()
 def average_gradients(elements, tets, g, volumes, number, slot, nodes, G):
-    """Σ v g of a group's shape functions [m²], into G by row of nodes.
+    """Write Σ v g [m²] of a group's shape functions into G, a row per node.
 
-    `slot` is -1 everywhere and gets each node's row, to be reset by the
-    caller; `nodes` gets the nodes' numbers. How many rows, the volume Σ v.
+    `nodes` gets the rows' nodes; `slot`, -1 everywhere, gets each node's row
+    and is reset by the caller. Returns the number of rows and Σ v [m³].
     """
     count, V = 0, 0.0
     for e in elements:
@@ -378,7 +378,7 @@ def average_gradients(elements, tets, g, volumes, number, slot, nodes, G):
 def _assemble(
     start, around, tets, g, volumes, shear, lam, number, indptr, indices, data
 ):
-    """Add the groups' energies to a matrix, see `groups_of`."""
+    """Add the groups' stiffness to a matrix's data, see `groups_of`."""
     slot = np.full(len(number), -1)
     nodes, G = np.empty(len(number), np.int64), np.empty((len(number), 3))
     for group in range(len(start) - 1):
@@ -418,7 +418,7 @@ class Sole:
     element: Element = "linear"
 
     def with_nodes(self, nodes: np.ndarray) -> "Sole":
-        """The same elements at other places; what these do not change stays."""
+        """The same sole with nodes at other positions (n, 3); pattern kept."""
         out = replace(self, mesh=self.mesh.with_nodes(nodes))
         out.__dict__["pattern"] = self.pattern
         return out
@@ -430,7 +430,7 @@ class Sole:
 
     @cached_property
     def pattern(self) -> Pattern:
-        """Of its stiffness matrix."""
+        """Sparsity pattern of its stiffness matrix."""
         free = np.setdiff1d(np.arange(len(self.mesh.nodes)), self.mesh.fixed)
         return Pattern.of(self.mesh, free, self.element)
 
@@ -441,7 +441,7 @@ class Sole:
 
     @cached_property
     def factor(self) -> SparseCholesky:
-        """Of the stiffness of the free nodes, sole frame [N/m]."""
+        """Cholesky factor of the free nodes' stiffness, sole frame [N/m]."""
         K = assembled(self.mesh, self.material, self.pattern)
         return SparseCholesky(K, self.pattern.fronts)
 
@@ -463,7 +463,7 @@ class Sole:
     def displacement(self, f_L: np.ndarray) -> np.ndarray:
         """Displacement of every node [m], (..., n, 3), under contact forces.
 
-        These are in the sole frame [N], (..., m, 3).
+        Forces f_L [N] (..., m, 3) and displacements are in the sole frame.
         """
         lead = f_L.shape[:-2]
         f_L = f_L.reshape(-1, 3 * len(self.mesh.contact))
@@ -476,8 +476,8 @@ class Sole:
     def strain(self, u: np.ndarray) -> np.ndarray:
         """Small strain of every element, (..., e, 3, 3).
 
-        With "smoothed", around every node, (..., n, 3, 3): that of a single
-        element has no energy of its own, and scatters.
+        With "smoothed", averaged around every node, (..., n, 3, 3): a single
+        element's strain has no energy of its own, and scatters.
         """
         H = np.einsum(
             "...eai,eaj->...eij", u[..., self.mesh.tets, :], self.mesh.gradients
@@ -491,9 +491,9 @@ class Sole:
 
     @cached_property
     def node_average(self) -> csr_matrix:
-        """Averages of elements around nodes, (n, e).
+        """Matrix (n, e) that averages elements' values around every node.
 
-        Each element gives an equal part of its volume to its nodes.
+        An element's weight is a quarter of its volume at each of its nodes.
         """
         tets, part = self.mesh.tets, self.mesh.volumes / 4
         total = np.bincount(tets.ravel(), np.repeat(part, 4))
@@ -501,17 +501,17 @@ class Sole:
         return (diags(1 / total) @ share).tocsr()
 
 
-# Of the largest eigenvalue: what is left out changes a gradient by some 1e-7
-# of its largest entry, and is half of the fields.
+# Part of the largest eigenvalue below which fields are left out: half of them,
+# which changes a gradient by some 1e-7 of its largest entry.
 _NEGLIGIBLE = 1e-7
 
 
 def compliance_gradients(sole: Sole, terms: list, held: list) -> np.ndarray:
-    """Derivatives of tr(C̄ᵀ C) with C̄ = left rightᵀ by the nodes, (f, n, 3).
+    """Derivatives of tr(C̄ᵀ C), C̄ = left rightᵀ, by node positions, (f, n, 3).
 
-    C is symmetric: the eigenvectors of C̄'s symmetric part are all the fields
-    that it takes. For each C̄ terms are left and right, (3m, c) each; held are
-    further fields and factors as of `energy_gradients`, or None.
+    `terms` has left and right, (3m, c) each, of every C̄; `held` further fields
+    and factors of `energy_gradients`, or None. As C is symmetric, the fields
+    needed are those of the eigenvectors of C̄'s symmetric part.
     """
     forces, factors = zip(
         *(_forces(sole, *term) for term in terms), strict=True
@@ -529,7 +529,7 @@ def compliance_gradients(sole: Sole, terms: list, held: list) -> np.ndarray:
 
 
 def _forces(sole: Sole, left: np.ndarray, right: np.ndarray):
-    """At the contact dofs (3m, k) and factors (k,): those that C̄ takes."""
+    """Forces (3m, k), factors (k,): eigenpairs of left rightᵀ, symmetrised."""
     dofs = np.flatnonzero(left.any(axis=1) | right.any(axis=1))
     left, right = left[dofs], right[dofs]
     if 2 * left.shape[1] < len(dofs):
@@ -547,9 +547,9 @@ def _forces(sole: Sole, left: np.ndarray, right: np.ndarray):
 
 
 def pairs(v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fields w (d, 2k), factors λ: Σ λ wᵀ K w = Σ vᵀ K u for any K.
+    """Fields w (d, 2k), factors λ (2k,): Σ λ wᵀ K w = Σ vᵀ K u for any K.
 
-    Columns of v and u, (d, k) each, are fields.
+    K is symmetric; the columns of v and u, (d, k) each, are fields.
     """
     sizes = [np.linalg.norm(x, axis=0) for x in (u, v)]
     there = (sizes[0] > 0) & (sizes[1] > 0)
@@ -559,9 +559,9 @@ def pairs(v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def energy_gradients(sole: Sole, fields: list) -> np.ndarray:
-    """By the node positions: −Σ λ wᵀ K w, fields held, (f, n, 3).
+    """Derivatives of −Σ λ wᵀ K w by the node positions, w fixed, (f, n, 3).
 
-    Fields are pairs of free displacements w (3 n_f, k) and factors λ (k,).
+    `fields` are pairs of free displacements w (3 n_f, k), factors λ (k,).
     """
     pattern = sole.pattern
     indptr, indices = pattern.graph.indptr, pattern.graph.indices
@@ -577,7 +577,7 @@ def energy_gradients(sole: Sole, fields: list) -> np.ndarray:
 
 @njit(fastmath=True)
 def _products(indptr, indices, w, factors, out):
-    """Σ λ w_a w_bᵀ of the matrix's blocks with a <= b, into (nnz, 3, 3)."""
+    """Write Σ λ w_a w_bᵀ of the matrix's blocks, a <= b, into (nnz, 3, 3)."""
     for a in range(len(indptr) - 1):
         x, y, z = factors * w[a, 0], factors * w[a, 1], factors * w[a, 2]
         for entry in range(indptr[a], indptr[a + 1]):
@@ -599,9 +599,9 @@ def _add_gradients(
 ):
     """Add −∂(W : K)/∂X of the groups' energies, see `groups_of`.
 
-    That of a group is Σ G_aᵀ M_ab G_b / V with G = Σ v g, V = Σ v and
-    M = μ (tr W I + Wᵀ) + λ W, of blocks with a <= b, (nnz, f, 3, 3), into
-    (f, n, 3).
+    W : K of a group is Σ G_aᵀ M_ab G_b / V with G = Σ v g, V = Σ v and
+    M = μ (tr W I + Wᵀ) + λ W. W has the blocks with a <= b, (nnz, f, 3, 3);
+    out is (f, n, 3).
     """
     slot = np.full(len(number), -1)
     nodes, G = np.empty(len(number), np.int64), np.empty((len(number), 3))
@@ -648,9 +648,9 @@ def _add_gradients(
 def _by_places(
     elements, tets, g, volumes, number, slot, by_G, f, by_volume, out
 ):
-    """Subtract a group's derivative f by the nodes from out (f, n, 3).
+    """Subtract a group's derivative number f by the nodes from out (f, n, 3).
 
-    ∂v = v g_c·dX_c and ∂g_a = −g_c (g_a·dX_c), added up in G and V.
+    Chain rule through G and V: dv = v g_c·dX_c, dg_a = −g_c (g_a·dX_c).
     """
     rows = np.empty(4, np.int64)
     for e in elements:

@@ -93,7 +93,7 @@ class GaussSeidelSolver(ContactSolver):
         return change
 
     def _pose_step(self, state, point, target) -> None:
-        """Take the Newton step (24) of the pose; sweeps then find the forces."""
+        """Take the Newton step (24) of the pose; forces follow in sweeps."""
         lin = self._linearisation(point, target)
         turn = target.turn(self.ground, state.R, self.lP[lin.nodes])
         dF, dp = lin.solve(0.0 * lin.F, point.wrench, target.asked, turn)
