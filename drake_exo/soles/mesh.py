@@ -1,8 +1,8 @@
-"""Tetrahedral meshes of soles: bricks, files, checks, STL; their shapes.
+"""Tetrahedral meshes of soles: bricks, files, checks, STL, shape splines.
 
 Sole frame: x forward, y left, z up, origin at the centre of the top plane
 (the surface fixed to the rigid foot); the sole lies below, at z <= 0. Shapes
-by (4) and (5) of the paper.
+follow (4) and (5) of the paper.
 """
 
 import math
@@ -24,16 +24,16 @@ from drake_exo.files.mesh import read_cells
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
-# Of a sole's longest side [m]: no foot's, not even a giant's, is beyond.
+# Bounds of a sole's longest side [m], wide enough for any foot.
 _LEAST_LENGTH, _LARGEST_LENGTH = 0.01, 2.0
 _LONG = 0.6  # least extent along x, over the largest
-_FIXED = "fixed"  # data of a file's nodes: 1 where glued to the foot
-_DOWNWARDS = 1e-3  # of a face's normal: beyond rounding
-UPWARDS = 0.0175  # of a face's normal: a degree, vertical sides as meshed
+_FIXED = "fixed"  # point data of a file: 1 where glued to the foot
+_DOWNWARDS = 1e-3  # least downward part of a normal: beyond rounding
+UPWARDS = 0.0175  # sine of 1°: meshed vertical sides do not count as upward
 _MOST_TETS = 1_000_000  # 20 GB of memory
 _RECTANGLE = 0.99  # least part of its bounding box that a rectangle fills
-_UNFELT = 1e-17  # of the largest share in a sum
-_LEAST_TOP = 0.3  # of the area seen from above that is a flat top
+_UNFELT = 1e-17  # shares below this part of the largest are left out
+_LEAST_TOP = 0.3  # least part of the area seen from above that is a flat top
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ class TetMesh:
 
     @property
     def top_faces(self) -> np.ndarray:
-        """The boundary faces that lie wholly on the fixed surface."""
+        """The boundary faces that lie wholly on the fixed surface, (f, 3)."""
         return self.boundary_faces[self.is_top]
 
     @cached_property
@@ -112,7 +112,7 @@ class TetMesh:
 
     @cached_property
     def contact(self) -> np.ndarray:
-        """Sorted nodes that may touch: those of bare faces that look down.
+        """Sorted nodes that may touch the ground: of bare faces that look down.
 
         Other nodes reach the ground only if a sole rolls far or bulges; see
         `touching_everywhere`.
@@ -122,31 +122,31 @@ class TetMesh:
 
     @cached_property
     def _looks_down(self) -> np.ndarray:
-        """Which of the bare faces look downwards, (f,) bool."""
+        """Which of `contact_faces` look downwards, (f,) bool."""
         area, size = self.areas(self.contact_faces)
         return area[:, 2] < -_DOWNWARDS * size
 
     def touching_everywhere(self) -> "TetMesh":
-        """The same mesh, all of whose bare nodes may touch."""
+        """The same mesh with all bare nodes as nodes that may touch."""
         return self.with_contact(self.bare)
 
     def with_contact(self, nodes: np.ndarray) -> "TetMesh":
-        """The same mesh, in which only these (sorted) nodes may touch."""
+        """The same mesh with these (sorted) nodes as those that may touch."""
         out = self.with_nodes(self.nodes)
         out.__dict__["contact"] = nodes
         return out
 
     @cached_property
     def contact_faces(self) -> np.ndarray:
-        """Boundary faces that do not lie wholly on the fixed surface."""
+        """Bare faces (f, 3): those not wholly on the fixed surface."""
         return self.boundary_faces[~self.is_top]
 
     @cached_property
     def contact_areas(self) -> np.ndarray:
         """Area at rest around each node that may touch [m²], (m,).
 
-        Only faces that look down count, as those do that touch; at a node
-        without any, all bare faces count.
+        It is of the faces that look down, as those touch; at a node without
+        any, of all bare faces.
         """
         _, twice = self.areas(self.contact_faces)
 
@@ -159,9 +159,9 @@ class TetMesh:
         return np.where(below > 0.0, below, around(twice))
 
     def areas(self, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Vectors (f, 3) along the normals of triangles, and lengths (f,).
+        """Normals (f, 3) of triangles, and their lengths (f,).
 
-        A length is twice the triangle's area [m²].
+        The length is twice the triangle's area [m²].
         """
         area = normals_of(self.nodes[faces])
         return area, np.linalg.norm(area, axis=1)
@@ -226,7 +226,7 @@ class TetMesh:
 
     def quality_gradient(self, share: np.ndarray) -> np.ndarray:
         """∂(Σ share · quality)/∂nodes [1/m], (n, 3); no volume may be 0."""
-        # Those of a soft minimum are nothing at most elements.
+        # Most elements have no share in a soft minimum.
         felt = np.abs(share) > _UNFELT * np.abs(share).max()
         part = replace(self, tets=self.tets[felt])
         out = np.zeros_like(self.nodes)
@@ -239,7 +239,7 @@ class TetMesh:
         return out
 
     def _from_middles(self) -> np.ndarray:
-        """Of the corners from the middle of their tet [m], (e, 4, 3)."""
+        """Places of the corners from the middle of their tet [m], (e, 4, 3)."""
         x = self.nodes[self.tets]
         return x - 0.25 * np.einsum("eai->ei", x)[:, None]
 
@@ -251,13 +251,13 @@ class TetMesh:
         return np.column_stack(divmod(code, n)), owner.reshape(-1, 6)
 
     def _spans(self) -> np.ndarray:
-        """Of the last three corners from the first [m], (3, e, 3)."""
+        """Places of the last three corners from the first [m], (3, e, 3)."""
         x = self.nodes[self.tets.T]
         return x[1:] - x[:1]
 
 
 def normals_of(corners: np.ndarray) -> np.ndarray:
-    """Outward normals of triangles (f, 3, 3), of twice their areas, (f, 3)."""
+    """Normals of triangles (f, 3, 3), twice their areas long, (f, 3)."""
     a, b, c = np.swapaxes(corners, 0, 1)
     return np.cross(b - a, c - a)
 
@@ -268,7 +268,7 @@ def face_edges(faces: np.ndarray) -> np.ndarray:
 
 
 def connected(count: int, i, j) -> tuple[int, np.ndarray]:
-    """How many parts `count` things make with these links, and each's part."""
+    """Number of connected parts of `count` items linked i–j; part of each."""
     links = coo_array((np.ones(len(i)), (i, j)), shape=(count, count))
     return connected_components(links, directed=False)
 
@@ -329,7 +329,7 @@ def grid_mesh(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> TetMesh:
 
 
 def _oriented(nodes: np.ndarray, tets: list[np.ndarray]) -> np.ndarray:
-    """All of some tets (k, 4) in one array, none of them inside out."""
+    """Join arrays of tets (k, 4) into one, inverted tets reversed."""
     out = np.concatenate(tets)
     negative = np.linalg.det(nodes[out[:, 1:]] - nodes[out[:, :1]]) < 0
     out[negative] = out[negative][:, [0, 2, 1, 3]]
@@ -337,7 +337,7 @@ def _oriented(nodes: np.ndarray, tets: list[np.ndarray]) -> np.ndarray:
 
 
 def halved(mesh: TetMesh) -> TetMesh:
-    """The same body in elements of half the size, eight for each.
+    """The same body with each element split into eight of half the size.
 
     Four at the corners and four around the shortest diagonal of the
     octahedron between them (Bey, Computing 55, 1995).
@@ -419,13 +419,13 @@ def read_mesh(
 
 
 def check_top(corners: np.ndarray, top: np.ndarray, name, more="") -> None:
-    """Refuse a highest plane that is no flat top.
+    """Refuse a surface whose highest plane is no flat top.
 
     Args:
-        corners: Of a surface's outward triangles [m], (f, 3, 3).
+        corners: Corners of the outward triangles [m], (f, 3, 3).
         top: Which of them lie in that plane, (f,).
-        name: Of the file.
-        more: Ends the sentence: another remedy.
+        name: Name of the file.
+        more: Another remedy, which ends the message.
     """
     up = normals_of(corners)[:, 2]
     part = up[top].sum() / up[up > 0].sum()
@@ -440,8 +440,8 @@ def check_top(corners: np.ndarray, top: np.ndarray, name, more="") -> None:
 def _guess_origin(mesh: TetMesh, extent: float, path) -> np.ndarray:
     top = mesh.nodes[mesh.fixed]
     z, near = top[:, 2].mean() if len(top) else 0.0, 1e-7 * extent
-    # A curved top, which has to be told, has no height to tell a frame by; a
-    # footbed lies below its rim.
+    # A curved top has no one height to put the origin at; a footbed (a hollow
+    # top) may have its rim at z = 0.
     at_zero = min(abs(z), abs(mesh.nodes[:, 2].max())) <= near
     if at_zero or np.ptp(top[:, 2]) > near:
         return np.zeros(3)
@@ -457,12 +457,12 @@ def _guess_origin(mesh: TetMesh, extent: float, path) -> np.ndarray:
 
 
 def check_size(places: np.ndarray, name: str, end: str) -> None:
-    """Refuse places (k, 3) [m] that reach over less or more than any sole.
+    """Refuse a sole that is smaller or larger than any.
 
     Args:
-        places: On the sole.
-        name: Of its file.
-        end: Of the sentence: why, and what to do.
+        places: Points of the sole [m], (k, 3).
+        name: Name of its file.
+        end: Cause and remedy, which end the message.
     """
     size = np.ptp(places, axis=0)
     if not _LEAST_LENGTH < size.max() < _LARGEST_LENGTH:
@@ -471,11 +471,11 @@ def check_size(places: np.ndarray, name: str, end: str) -> None:
 
 
 def check_turned(places: np.ndarray, name) -> None:
-    """Refuse places (k, 3) [m] of a sole that is not long along x.
+    """Refuse a sole that is not long along x.
 
     Args:
-        places: On the sole.
-        name: Of its file.
+        places: Points of the sole [m], (k, 3).
+        name: Name of its file.
     """
     size = np.ptp(places, axis=0)
     if size[0] < _LONG * size.max():
@@ -490,8 +490,8 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
     """Build a mesh and refuse what cannot be simulated.
 
     Raises:
-        InputError: Inverted, flat or repeated elements, unconnected parts, no
-            top.
+        InputError: Inverted, flat or repeated elements, a wrong size,
+            unconnected parts, no top or no underside.
     """
     mesh = TetMesh(
         np.ascontiguousarray(nodes, dtype=float),
@@ -541,7 +541,7 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
 def write_vtk(path: Path | str, mesh: TetMesh) -> None:
     """Write the tetrahedra in metres, as `read_mesh` reads them.
 
-    What is fixed is written, too: a top may be curved.
+    Fixed nodes are marked, since a top may be curved.
     """
     glued = np.zeros(len(mesh.nodes), np.int32)
     glued[mesh.fixed] = 1
@@ -559,8 +559,8 @@ def write_triangles(path: Path | str, corners: np.ndarray) -> None:
 def is_watertight(corners: np.ndarray) -> bool:
     """Whether outward triangles (f, 3, 3) [m] close around a volume.
 
-    As a slicer asks of an STL: every edge is shared by two that go along it
-    in opposite directions, at the file's own single precision.
+    A slicer's test of an STL, in its single precision: every edge is shared by
+    two triangles that go along it in opposite directions.
     """
     points = np.float32(1e3 * corners).reshape(-1, 3)
     index = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1, 3)
@@ -571,15 +571,15 @@ def is_watertight(corners: np.ndarray) -> bool:
     return bool(closed and np.linalg.det(corners).sum() > 0)
 
 
-WALL = 0.01  # metres around and below the sole
-_SAME = 1e-7  # metres: corners of a mould nearer to each other are one
+WALL = 0.01  # metres of mould around and below the sole
+_SAME = 1e-7  # metres: closer corners of a mould are merged
 
 
 def mould_triangles(mesh: TetMesh) -> np.ndarray:
-    """Outward triangles of a sole's mould's closed surface [m], (f, 3, 3).
+    """Outward triangles of the mould's closed surface [m], (f, 3, 3).
 
-    A block less the sole, open above its top; none where the sole's own
-    surface is not closed.
+    The mould is a block less the sole, open above its top; it is empty if the
+    sole's own surface is not closed.
     """
     # The cavity: the sole, and what is above its top.
     n, loops = len(mesh.nodes), rings(mesh.top_faces)
@@ -599,7 +599,7 @@ def mould_triangles(mesh: TetMesh) -> np.ndarray:
 
 
 def solid(nodes: np.ndarray, faces: np.ndarray) -> Manifold:
-    """Of a closed surface of outward triangles; empty if it is not closed."""
+    """Body inside outward triangles `faces`; empty if they are not closed."""
     return Manifold(Mesh64(nodes, faces.astype(np.uint64)))
 
 
@@ -610,7 +610,7 @@ def corners_of(body: Manifold) -> np.ndarray:
 
 
 def rings(faces: np.ndarray) -> list[np.ndarray]:
-    """Nodes along the borders of triangles (f, 3), the way that these go."""
+    """Closed borders of triangles (f, 3): each one's nodes, in their sense."""
     there = set(map(tuple, face_edges(faces).tolist()))
     after, found = {}, []
     for a, b in sorted(there):
@@ -618,7 +618,7 @@ def rings(faces: np.ndarray) -> list[np.ndarray]:
             after.setdefault(a, []).append(b)
     while after:
         ring, node = [], min(after)
-        while node in after:  # as often left as entered: back to the first
+        while node in after:  # a node is left as often as entered: it closes
             ring.append(node)
             node = after[node].pop()
             if not after[ring[-1]]:
@@ -648,8 +648,8 @@ class SphericalSpline:
     Attributes:
         intervals: Number of knot intervals over [-π/2, π/2] in θ and φ.
         fixed_top: Keep the top surface as it is (the paper's case 5).
-        symmetric: Left and right alike: s(−θ, φ) = s(θ, φ).
-        kept: Indices, θ-major, of further coefficients that are held at 1.
+        symmetric: Whether left and right are alike: s(−θ, φ) = s(θ, φ).
+        kept: θ-major indices of further coefficients that are held at 1.
     """
 
     intervals: tuple[int, int] = (10, 10)
@@ -670,11 +670,11 @@ class SphericalSpline:
 
     @cached_property
     def _column(self) -> np.ndarray:
-        """Of all coefficients, θ-major, the free one each is; -1: it is 1."""
+        """Index of the free coefficient of each of all (θ-major); -1: held."""
         shape = n_theta, n_phi = tuple(n + 2 for n in self.intervals)
         index = np.arange(n_theta * n_phi).reshape(shape)
         tied = index.copy()
-        # All of a pole's are one, the last ones: after those between.
+        # Each pole has one coefficient, numbered after all others.
         tied[:, 0], tied[:, -1] = index.size, index.size + 1
         if self.symmetric:
             tied = np.minimum(tied, tied[::-1])
@@ -682,7 +682,7 @@ class SphericalSpline:
         if self.fixed_top:
             held[[0, -1]] = held[:, [0, -1]] = True
         held.ravel()[list(self.kept)] = True
-        held = np.isin(tied, tied[held])  # with those it is tied to
+        held = np.isin(tied, tied[held])  # and those tied to them
         if held.all():
             raise InputError(
                 "optimize.shape: no part of the sole is left to change; give "
@@ -694,7 +694,7 @@ class SphericalSpline:
         return out.ravel()
 
     def free_map(self) -> tuple[csr_matrix, np.ndarray]:
-        """T, p0 with (all coefficients, θ-major) = T · free + p0."""
+        """T and p0 with all coefficients (θ-major) = T · free ones + p0."""
         column = self._column
         rows = np.flatnonzero(column >= 0)
         T = csr_matrix(
@@ -704,7 +704,7 @@ class SphericalSpline:
         return T, (column < 0).astype(float)
 
     def around(self, points: np.ndarray) -> tuple[int, ...]:
-        """Indices of the free coefficients that move any of some points."""
+        """θ-major indices of free coefficients that move any point (n, 3)."""
         felt = self._full(points).any(axis=0) & (self._column >= 0)
         return tuple(np.flatnonzero(felt).tolist())
 
@@ -722,12 +722,12 @@ class SphericalSpline:
         return full @ T, full @ p0
 
     def stretch(self, nodes: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Factor s in the directions of points, deformed or not, (n,)."""
+        """Factor s (n,) in the directions of points, deformed or not."""
         M, s0 = self.basis(nodes)
         return M @ p + s0
 
     def deform(self, nodes: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Positions X' of the nodes in the shape of free coefficients p."""
+        """Positions X' (n, 3) of nodes in the shape of free coefficients p."""
         return self.stretch(nodes, p)[:, None] * nodes
 
 

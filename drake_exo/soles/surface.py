@@ -1,13 +1,13 @@
-"""From a closed surface (STL, OBJ) to the tetrahedra of a sole.
+"""Mesh a closed surface (STL, OBJ) with the tetrahedra of a sole.
 
-Mmg cuts a grid at the zero level of a signed distance (Dapogny, Dobrzynski,
-Frey, J. Comput. Phys. 262, 2014); the nodes of what is inside are moved onto
-the surface and its sharp edges, which a level set cuts off. It is meshed anew
-by the local thickness, and its nodes are moved once more. A flat top is a face
-of the grid.
+Mmg cuts a grid at the zero level of the signed distance to the surface
+(Dapogny, Dobrzynski, Frey, J. Comput. Phys. 262, 2014). The nodes of the inner
+part are moved onto the surface and its sharp edges, which a level set cuts off.
+This part is meshed anew with elements sized by the local thickness, and its
+nodes are moved once more. A flat top is a face of the grid.
 
-Mmg works in a process of its own, this module run as a script, since there are
-bodies that it runs on without end; arrays go through stdin and stdout.
+Mmg runs in a process of its own (this module as a script), since it never ends
+for some bodies; arrays go through stdin and stdout.
 """
 
 import io
@@ -45,16 +45,16 @@ class MmgError(InputError):
 
 
 def run_mmg(body: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes (n, 3) and tetrahedra (e, 4) that Mmg makes of a body.
+    """Nodes (n, 3) and tetrahedra (e, 4) of Mmg's mesh of a body.
 
     Args:
-        body: Its `nodes` and `tets` likewise, and either
-            `level` (n,): cells are cut where it is zero, with `step` [m],
-            their size;
-            `size` (n,) [m]: of the new elements' edges.
+        body: Its `nodes` (n, 3) and `tets` (e, 4), and either
+            `level` (n,), at whose zero the cells, of size `step` [m], are
+            cut; or
+            `size` (n,), edge length of the new elements [m].
 
     Raises:
-        MmgError: There is no mesh.
+        MmgError: Mmg is not installed, fails, or takes too long.
     """
     whole = io.BytesIO()
     np.savez(whole, **body)
@@ -78,7 +78,7 @@ def run_mmg(body: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _remeshed(body) -> dict[str, np.ndarray]:
-    """What Mmg itself makes of `run_mmg`'s body."""
+    """Mmg's mesh of `run_mmg`'s body, computed in this process."""
     from mmgpy import MmgMesh3D
 
     mesh = MmgMesh3D()
@@ -106,31 +106,31 @@ Unit = Literal["m", "cm", "mm", "inch"]
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 SUFFIXES = (".stl", ".obj")
 _FOOT = (0.1, 0.45)  # longest side of a foot's sole [m]
-_FLAT = 2e-3  # of the longest side: faces of one flat top
-_GRID = 0.5  # of an element's size: cells that are cut
+_FLAT = 2e-3  # depth of a flat top's faces, over the longest side
+_GRID = 0.5  # size of the grid's cells over that of an element
 _SECONDS = 120  # of processor time for Mmg
 _GRADATION = 1.3  # largest ratio of neighbouring elements' sizes
 _FILL = 36.0  # tetrahedra that Mmg makes in the cube of an element's edge
 _SHARP = 0.77  # cosine between the normals beside a sharp edge: 40 degrees
 _PATCH = 4.0  # least area of a patch, in squares of a typical size
-_SAME_VOLUME = 0.05  # of what a surface encloses, that a mesh may miss
+_SAME_VOLUME = 0.05  # largest error of a mesh's volume
 _SAMPLES = 20_000  # points of a surface at which it is compared with a mesh
-_LEVEL = 0.02  # of a typical size: Mmg leaves nodes so far off a flat top
-_THERE = 0.3  # of a typical size: a node that is on an edge already
-_LEAST_QUALITY = 0.3  # of elements whose nodes are moved
-_SHORTER = 12  # times that a move is halved
+_LEVEL = 0.02  # typical sizes that Mmg may leave nodes off a flat top
+_THERE = 0.3  # typical sizes within which a node counts as on an edge
+_LEAST_QUALITY = 0.3  # of elements after their nodes are moved
+_SHORTER = 12  # trials of a move, each half as long where elements suffer
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A closed surface of outward triangles (t, 3, 3) [m]; its file's name."""
+    """A closed surface: outward triangles (t, 3, 3) [m], its file's name."""
 
     corners: np.ndarray
     name: str
 
     @property
     def volume(self) -> float:
-        """What it encloses [m³]."""
+        """Enclosed volume [m³]."""
         return float(np.linalg.det(self.corners).sum() / 6)
 
 
@@ -139,11 +139,11 @@ def read_surface(path: Path | str, unit: Unit | None = None) -> Surface:
 
     Args:
         path: STL or OBJ file; neither knows units.
-        unit: Of its lengths; left out where the size tells it.
+        unit: Unit of its lengths; by default told from the size.
 
     Raises:
-        InputError: Unreadable, not closed, or of a size that says nothing of
-            the unit.
+        InputError: Unreadable, not closed, or of a size that is a foot's in
+            neither metres nor millimetres.
     """
     path = Path(path)
     nodes, faces = read_cells(path, "triangle", "export it again as STL or OBJ")
@@ -160,7 +160,7 @@ def read_surface(path: Path | str, unit: Unit | None = None) -> Surface:
 def _scale(path, longest: float, unit: Unit | None) -> float:
     if unit is not None:
         return UNITS[unit]
-    # Of centimetres and inches a shoe's numbers are too much alike.
+    # A shoe's size in centimetres and one in inches cannot be told apart.
     fits = [
         name
         for name in ("m", "mm")
@@ -175,7 +175,7 @@ def _scale(path, longest: float, unit: Unit | None) -> float:
 
 
 def _merged(nodes, faces) -> tuple[np.ndarray, np.ndarray]:
-    """Coincident corners made one; triangles without area left out."""
+    """Nodes and faces with coincident nodes merged, empty faces dropped."""
     first, which = _coincident(nodes)
     faces = which[faces]
     a, b, c = faces.T
@@ -183,7 +183,7 @@ def _merged(nodes, faces) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _coincident(places) -> tuple[np.ndarray, np.ndarray]:
-    """One of each place, to a millionth of all; which of these each is."""
+    """Indices of distinct places, to 1e-6 of the extent; which one each is."""
     step = 1e-6 * np.ptp(places, axis=0).max()
     _, first, which = np.unique(
         np.round(places / step), axis=0, return_index=True, return_inverse=True
@@ -192,10 +192,10 @@ def _coincident(places) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _parted(path, nodes, faces) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes of its own for each part where parts touch along edges.
+    """Nodes and faces with parts that touch along edges separated.
 
-    Of the triangles that share an edge, those are one part's that have nothing
-    but its inside between them. Holes are refused.
+    Of the triangles at an edge, two belong to one part if only its inside lies
+    between them. Surfaces with holes are refused.
     """
     edges = face_edges(faces)
     key, which, count = _shared(edges)
@@ -226,13 +226,13 @@ def _parted(path, nodes, faces) -> tuple[np.ndarray, np.ndarray]:
             y = np.cross(along, apex[0])
             angle = np.arctan2(apex @ y, apex @ np.cross(y, along))
             ahead, back = np.split(angle, 2)
-            # Outwards is where the angle grows; touching faces are no part.
+            # Angles grow outwards; coincident faces belong to two parts.
             between = (ahead[:, None] - back - 1e-6) % (2 * np.pi)
             while np.isfinite(between).any():
                 i, j = np.unravel_index(between.argmin(), between.shape)
                 between[i], between[:, j] = np.inf, np.inf
                 pairs.append(group[[i, len(ahead) + j]])
-    one, other = np.transpose(pairs)  # edges in faces' corners, nose to tail
+    one, other = np.transpose(pairs)  # edges by first corner, opposite senses
     after = np.roll(np.arange(faces.size).reshape(-1, 3), -1, axis=1).ravel()
     links = (
         np.concatenate([one, after[one]]),
@@ -244,7 +244,7 @@ def _parted(path, nodes, faces) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _shared(edges):
-    """Each edge's ends once; which each is (n,); how many triangles have it."""
+    """Distinct edges; index of each of the given (n,); triangles at each."""
     ends, which, count = np.unique(
         np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True
     )
@@ -252,10 +252,9 @@ def _shared(edges):
 
 
 def _united(path, nodes, faces) -> np.ndarray:
-    """Corners (t, 3, 3), parts that meet made one, as a slicer does.
+    """Corners (t, 3, 3) of the union of all parts, as a slicer makes it.
 
-    A part within another that is turned inside out is a hollow, in which a
-    third may lie.
+    A part turned inside out within another is a hollow; it may hold a third.
     """
     parts = solid(nodes, faces).decompose()
     if len(parts) < 2:
@@ -269,7 +268,7 @@ def _united(path, nodes, faces) -> np.ndarray:
     parts = [part for part in parts if part.volume() > 0]
     if not hollows:
         return corners_of(Manifold.batch_boolean(parts, OpType.Add))
-    # Filled is what lies in more parts than hollows.
+    # A point is filled if it lies in more parts than hollows.
     parts, hollows = _layers(parts), _layers(hollows)
     parts += [Manifold()] * (len(hollows) - len(parts))
     hollows += [Manifold()] * (len(parts) - len(hollows))
@@ -285,7 +284,7 @@ def _united(path, nodes, faces) -> np.ndarray:
 
 
 def _layers(bodies: list[Manifold]) -> list[Manifold]:
-    """What lies in one body or more, in two or more, and so on."""
+    """The points in at least one body, in at least two, and so on."""
     layers = []
     for body in bodies:
         rest = body
@@ -302,15 +301,15 @@ def sole_from_surface(
     top_m: float | None = None,
     origin: tuple[float, float, float] | None = None,
 ) -> TetMesh:
-    """Tetrahedra of a sole inside a closed surface.
+    """Mesh a sole given by a closed surface with tetrahedra.
 
     Args:
-        surface: z up; its flat top is fixed to the foot.
-        tets: About how many.
+        surface: The surface, z up; its flat top is fixed to the foot.
+        tets: About how many tetrahedra to make.
         top_m: Height in the file's frame [m] above which faces that look
             upwards are fixed to the foot, for a top that is not flat.
         origin: Sole frame's origin in the file's frame [m]. By default the
-            file's own where its top reaches up to z = 0, else in the middle
+            file's own origin if the top reaches up to z = 0, else the middle
             of the top, at its height.
 
     Raises:
@@ -350,8 +349,8 @@ def sole_from_surface(
 def _lost(corners: np.ndarray, mesh: TetMesh) -> float:
     """Part of a surface's area that lies off its mesh.
 
-    By over a quarter of an element's edge: 0.4 % of one without narrow
-    grooves and ribs at most, 7 to 9 % of one with grooves that are lost.
+    Off by over a quarter of an element's edge: at most 0.4 % without narrow
+    grooves and ribs, 7 to 9 % with grooves that are lost.
     """
     rng = np.random.default_rng(0)
     area = np.linalg.norm(normals_of(corners), axis=1)
@@ -386,10 +385,10 @@ def _top_faces(surface: Surface, top_m: float | None) -> np.ndarray:
 
 
 def _levelled(surface: Surface, top) -> tuple[Surface, np.ndarray]:
-    """All that reaches a flat top's lowest corner in one plane; its faces.
+    """The surface with its top made one plane; the plane's faces, (t,) bool.
 
-    At z = 0 where it reaches there, for the frame's sake; else at the height
-    above and below which there is as much of it.
+    Corners from the top's lowest one up are moved there: to z = 0, the frame's
+    origin, if the top reaches it, else to the area's median height.
     """
     z, own = surface.corners[..., 2], surface.corners[top]
     heights, area = own[..., 2].ravel(), np.repeat(normals_of(own)[:, 2], 3)
@@ -404,13 +403,13 @@ def _levelled(surface: Surface, top) -> tuple[Surface, np.ndarray]:
 
 
 def _meshed(thickness: "_Thickness", top, flat: bool, tets: int):
-    """Nodes (n, 3) [m] and cells (e, 4) inside, about so many."""
+    """Nodes (n, 3) [m] and about `tets` cells (e, 4) inside the surface."""
     corners = thickness.corners
     points = corners.reshape(-1, 3)
     share = _share(thickness, tets)
     h = _GRID * share * thickness.usual
     low, high = points.min(axis=0) - 1.5 * h, points.max(axis=0) + 1.5 * h
-    if flat:  # the grid's own
+    if flat:  # the top is a face of the grid
         high[2] = corners[top][:, :, 2].max()
     grid = grid_mesh(
         *(
@@ -439,17 +438,17 @@ def _guess_origin(top: np.ndarray, extent: float) -> np.ndarray:
 
 
 def _share(thickness: "_Thickness", tets: int) -> float:
-    """Elements' size over thickness for about so many.
+    """Size of elements over the thickness that gives about `tets` of them.
 
-    A regular tetrahedron of edge h fills h³ / 8.5; Mmg makes them about a
-    quarter as large, since the surface wants some finer.
+    A regular tetrahedron of edge h fills h³ / 8.5; Mmg's are about a quarter of
+    that, since some at the surface have to be finer.
     """
     t = thickness.positive
     return float((_FILL * (thickness.cell * t / t**3).sum() / tets) ** (1 / 3))
 
 
 class _Thickness:
-    """Crossings of vertical lines with a surface, on a plane grid."""
+    """Vertical thickness of a body [m], on a horizontal grid."""
 
     def __init__(self, corners: np.ndarray, count: int = 120):
         flat = corners[:, :, :2].reshape(-1, 2)
@@ -469,17 +468,17 @@ class _Thickness:
 
     @property
     def positive(self) -> np.ndarray:
-        """Where there is some, not below a fifth of the usual [m]."""
+        """Thickness where above 0, at least a fifth of its median [m]."""
         t = self.values[self.values > 0]
         return np.maximum(t, 0.2 * np.median(t))
 
     @property
     def usual(self) -> float:
-        """Median [m]."""
+        """Median thickness [m]."""
         return float(np.median(self.positive))
 
     def at(self, nodes: np.ndarray) -> np.ndarray:
-        """Below and above points (n, 3), from where there is some [m]."""
+        """Thickness at points (n, 3) [m], (n,), from the four nearest places."""
         at = np.argwhere(self.values > 0)
         tree = cKDTree(at * self.step + self.low)
         _, near = tree.query(nodes[:, :2], k=4)
@@ -487,7 +486,7 @@ class _Thickness:
         return np.maximum(t, 0.2 * self.usual)
 
     def inside(self, nodes: np.ndarray, lower: float) -> np.ndarray:
-        """Whether points (n, 3) [m], taken lower, are inside of any part."""
+        """Whether points (n, 3) [m], moved down by `lower`, are inside."""
         places = nodes - np.array([0.0, 0.0, lower])
         return igl.fast_winding_number(*_soup(self.corners), places) > 0.5
 
@@ -495,7 +494,8 @@ class _Thickness:
 def crossings(corners: np.ndarray, places: np.ndarray):
     """Heights at which vertical lines at places (n, 2) meet triangles.
 
-    Yields rows of places with a like number of crossings, heights (rows, k).
+    Yields, for each number k of crossings, the indices of places that have it
+    and their heights (rows, k).
     """
     low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
     found = []
@@ -524,22 +524,22 @@ def crossings(corners: np.ndarray, places: np.ndarray):
 
 
 def _soup(corners) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (t, 3, 3) or edges (t, 2, 3) as places and their numbers."""
+    """Points and index rows of triangles (t, 3, 3) or edges (t, 2, 3)."""
     places = corners.reshape(-1, 3)
     return places, np.arange(len(places)).reshape(len(corners), -1)
 
 
 def _nearest(corners, points):
-    """On triangles (t, 3, 3) or edges (t, 2, 3) what is nearest to points.
+    """Nearest points to `points` (n, 3) on triangles or edges (t, 3 or 2, 3).
 
-    Points (n, 3), the triangles that they lie on (n,), how far (n,).
+    Returns them (n, 3), the triangles they lie on (n,), the distances (n,).
     """
     far, on, best = igl.point_mesh_squared_distance(points, *_soup(corners))
     return best, on, np.sqrt(far)
 
 
 def _onto(nodes, cells, corners, top, flat):
-    """The nodes of its surface moved onto the triangles where cells allow."""
+    """Move the mesh's surface nodes onto the triangles, if cells allow it."""
     mesh = TetMesh(nodes, cells, np.zeros(0, int))
     skin = np.unique(mesh.boundary_faces)
     aim = nodes.copy()
@@ -559,9 +559,9 @@ def _onto(nodes, cells, corners, top, flat):
         free = ~np.isin(skin, up)
     edge = aim.copy()
     _onto_edges(edge, skin, np.where(free, on, -1), corners, size, mesh)
-    # Each node goes as far as the elements around it allow, and again where
-    # those beside it have moved: onto the surface before along it to an edge,
-    # for what stops short of that to lie on the surface.
+    # Each node goes as far as the elements around it allow, and again once its
+    # neighbours have moved. First onto the surface, then along it to an edge,
+    # so that nodes that stop short of the edge lie on the surface.
     floor = np.minimum(0.9 * mesh.quality(), _LEAST_QUALITY)
     for goal in (aim, aim, edge, edge):
         part = np.ones((len(nodes), 1))
@@ -576,12 +576,12 @@ def _onto(nodes, cells, corners, top, flat):
 
 
 def _onto_edges(aim, skin, on, corners, size: float, mesh: TetMesh) -> None:
-    """Move nodes beside sharp edges onto them, and onto their corners.
+    """Set the goals `aim` of nodes near sharp edges and corners onto these.
 
-    A level set cuts edges off: some of its faces have nodes on two patches of
-    the surface (t, 3, 3). Those on the larger patch are moved; so that none of
-    the faces shrinks to nothing, the others stay. Nodes of the skin lie on
-    triangles `on`, -1 for those that only corners move.
+    A level set cuts edges off: some of its faces have nodes on two smooth
+    patches of the surface `corners` (t, 3, 3). Those on the larger patch are
+    moved, the others stay, so that no face shrinks to nothing. `on` is the
+    triangle of each node of the skin; -1: only corners may move it.
     """
     patch, ends, points = _sharp(corners, size)
     if not len(ends):
@@ -590,7 +590,7 @@ def _onto_edges(aim, skin, on, corners, size: float, mesh: TetMesh) -> None:
     own[skin[on >= 0]] = patch[on[on >= 0]]
     edge[skin] = _nearest(ends, aim[skin])[0]
     away = np.linalg.norm(edge - aim, axis=1)
-    # What is there already belongs to both patches.
+    # Nodes on an edge already belong to both patches.
     there = (away < _THERE * size) & (own >= 0)
     aim[there], own[there] = edge[there], -1
     a, b = face_edges(mesh.boundary_faces).T
@@ -604,11 +604,11 @@ def _onto_edges(aim, skin, on, corners, size: float, mesh: TetMesh) -> None:
 
 
 def _sharp(corners, size: float):
-    """Smooth patches of a surface (t, 3, 3), and what lies between them.
+    """Smooth patches of a surface (t, 3, 3), sharp edges and corners between.
 
-    Patches of few squares of a size [m] do not count. Patch of each triangle,
-    by falling area, -1 for none (t,); ends of edges between two (k, 2, 3) and
-    points where edges of several patches meet (m, 3) [m].
+    Patches smaller than a few squares of `size` [m] do not count. Returns the
+    patch of each triangle (t,), numbered by falling area, -1 for none; ends of
+    edges between two (k, 2, 3), and points where several meet (m, 3) [m].
     """
     places = corners.reshape(-1, 3)
     first, at = _coincident(places)
@@ -651,7 +651,7 @@ if __name__ == "__main__":
     import os
     import resource
 
-    # What libraries print must not get between the arrays.
+    # Libraries may print: stdout proper is for the arrays alone.
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     resource.setrlimit(resource.RLIMIT_CPU, (_SECONDS, _SECONDS))
