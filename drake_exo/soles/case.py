@@ -1,4 +1,4 @@
-"""A case: a sole and the step it takes, to simulate or to optimise."""
+"""A case: a sole and the step that it takes, to simulate or optimise."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ class Case(Setup):
     Attributes:
         settings: What the case file says.
         load: Force and ZMP of every sample.
-        mesh: The initial shape.
+        mesh: Mesh of the initial shape.
         start: How the sole is held just before the first contact.
     """
 
@@ -63,8 +63,8 @@ class Case(Setup):
                 stage of an optimisation.
             read_step: Function that reads a step of a recording; needed for a
                 load with `recording`. It is called with the study's path as
-                the case gives it, trial, foot, start, end, number, least
-                force [N].
+                the case gives it, trial, foot, start, end, step (from 0) and
+                least force [N], and returns a `RecordedStep`.
 
         Raises:
             InputError: The case cannot be read (the message has file, line,
@@ -132,7 +132,7 @@ class Case(Setup):
                 f"resume: the checkpoint is of the case {resume.case!r}, "
                 f"this one is {self.name!r}; give the case that was begun"
             )
-        # A walk's search begins with that of the sole alone.
+        # The search for a walk begins as that of the sole alone: its key, too.
         keys = "", self.key, in_own_walk(self).key
         if resume is not None and resume.key not in keys:
             raise InputError(

@@ -1,4 +1,4 @@
-"""Finite strain: a neo-Hookean sole, its contact, and beside small strain.
+"""Finite strain: a neo-Hookean sole in contact, compared with small strain.
 
 Linear tetrahedra, total Lagrangian (Bonet and Wood, Nonlinear Continuum
 Mechanics for Finite Element Analysis, 2nd ed., chapter 6). F = I + Σ u_a g_aᵀ,
@@ -8,8 +8,8 @@ Mechanics for Finite Element Analysis, 2nd ed., chapter 6). F = I + Σ u_a g_a�
     K_ab = V [μ g_a·g_b I + (μ − λ ln J) ĝ_b ĝ_aᵀ + λ ĝ_a ĝ_bᵀ]
 
 The node law F = T(τ), τ = F − r δ is solved in τ: a contact node lies at
-P = Q + (T(τ) − τ)/r, so that the laws hold exactly at every iterate. Unknowns
-are the interior displacements, τ and the pose; equations
+P = Q + (T(τ) − τ)/r, so that the law holds exactly at every iterate. Unknowns
+are the interior displacements, τ and the pose; the equations are
 
     f_int(u) − Eᵀ Rᵀ F = 0,  Σ F = F_des,  Σ (P − Z_des) × F = 0.
 
@@ -73,19 +73,19 @@ def first_stress(F: np.ndarray, material: Material) -> np.ndarray:
 
 
 class NeoHookeanBody:
-    """Internal forces and tangent of a meshed sole fixed at its top."""
+    """Internal forces and tangent stiffness of a meshed sole, its top fixed."""
 
     def __init__(self, mesh: TetMesh, material: Material):
         self.mesh, self.material = mesh, material
 
     @cached_property
     def free(self) -> np.ndarray:
-        """Nodes that are not fixed."""
+        """Nodes that are not fixed, sorted."""
         every = np.arange(len(self.mesh.nodes))
         return np.setdiff1d(every, self.mesh.fixed)
 
     def deformation_gradient(self, u: np.ndarray) -> np.ndarray:
-        """F of every element under displacements u (n, 3), (e, 3, 3)."""
+        """Deformation gradients F (e, 3, 3) of displacements u [m] (n, 3)."""
         mesh = self.mesh
         H = np.swapaxes(u[mesh.tets], 1, 2) @ mesh.gradients
         return np.eye(3) + H
@@ -108,7 +108,7 @@ class NeoHookeanBody:
         return out
 
     def element_tangents(self, u: np.ndarray) -> np.ndarray:
-        """∂(element forces)/∂(element displacements), (e, 4, 3, 4, 3)."""
+        """Tangent stiffness of every element [N/m], (e, 4, 3, 4, 3)."""
         F = self.deformation_gradient(u)
         g, V = self.mesh.gradients, self.mesh.volumes
         pushed = g @ np.linalg.inv(F)
@@ -132,9 +132,9 @@ class NeoHookeanBody:
 
     @cached_property
     def _entries(self):
-        """The elements' that are free, where each goes; rows, columns' begins.
+        """Element entries of free dofs, their places in K; CSC rows and begins.
 
-        SciPy's own sum of them would take longer than all else of a tangent.
+        Summing them in SciPy would take longer than all else of a tangent.
         """
         number, size = np.full(len(self.mesh.nodes), -1), 3 * len(self.free)
         number[self.free] = np.arange(len(self.free))
@@ -154,15 +154,15 @@ _HALVINGS, _MOST_STEPS = 8, 25
 
 @dataclass
 class FiniteState(State):
-    """With the displacements u of all nodes, sole frame [m], (n, 3)."""
+    """State with the displacements u of all nodes, sole frame [m], (n, 3)."""
 
     u: np.ndarray
 
 
 class FiniteStrainSolver:
-    """Newton for one neo-Hookean sole and one contact law.
+    """Newton solver for one neo-Hookean sole and one contact law.
 
-    The tolerance is on the largest unbalanced nodal force over |F_des|.
+    `tolerance` is the largest unbalanced force, nodal or whole, over |F_des|.
     """
 
     def __init__(
@@ -186,7 +186,7 @@ class FiniteStrainSolver:
     def solve(
         self, state: FiniteState, target: Target
     ) -> tuple[FiniteState, Convergence]:
-        """Newton from `state`; the last state and its report."""
+        """Solve from `state`, which is not changed; last state and report."""
         state = state.copy()
         state.O, state.R = target.turned(state.O, state.R)
         scale = max(float(np.linalg.norm(target.force)), 1e-12)
@@ -195,7 +195,7 @@ class FiniteStrainSolver:
             if not np.isfinite(point.merit):
                 raise np.linalg.LinAlgError("inverted elements at the start")
             R, Z, old = point.state.R, target.point, point.state
-            # That planes turn with the foot, too, Newton's steps do without.
+            # Turns of the planes' axes are left out of the Newton matrix.
             turn = target.turn(self.ground, R, self.rest)
             try:
                 lin = _Linearisation(self, point, turn.places if turn else 0.0)
@@ -238,7 +238,7 @@ class FiniteStrainSolver:
         return _Linearisation(self, point, 0.0).wrench_response()
 
     def _planes(self, target, R):
-        """What the contact nodes meet, see `Ground.planes`."""
+        """References and axes of the contact nodes, see `Ground.planes`."""
         return self.ground.planes(target.places_before(R, self.rest))
 
     def _tau(self, state, target) -> np.ndarray:
@@ -246,7 +246,7 @@ class FiniteStrainSolver:
         return state.F - self.law.penalty * (self.places(state) - Q)
 
     def _evaluate(self, tau, guess, target, scale) -> "_Point":
-        """Residuals with forces and contact places that follow from τ."""
+        """Residuals at τ (m, 3), which gives forces and contact places."""
         O, R = guess.O, guess.R  # noqa: E741
         Q, axes = self._planes(target, R)
         F = _in_planes(axes, tau, lambda tau: project(tau, self.law))
@@ -267,14 +267,14 @@ class FiniteStrainSolver:
 
 
 def _in_planes(axes, tau, made):
-    """What is `made` of τ (m, 3) in the axes of planes, in the world's."""
+    """Apply `made` to τ (m, 3) in planes' axes; the result in the world's."""
     there = made(np.einsum("kij,kj->ki", axes, tau))
     return np.einsum("kji,kj->ki", axes, there)
 
 
 @dataclass
 class _Point:
-    """Everything evaluated at one iterate."""
+    """An iterate with its residuals; `balance` is of free nodes [N]."""
 
     state: FiniteState
     tau: np.ndarray
@@ -286,7 +286,7 @@ class _Point:
 
 
 class _Linearisation:
-    """Newton matrix at an iterate, with all but the pose eliminated."""
+    """Newton matrix at an iterate; all unknowns but the pose are eliminated."""
 
     def __init__(self, solver: FiniteStrainSolver, point: _Point, dQ):
         self.solver, self.point = solver, point
@@ -312,7 +312,7 @@ class _Linearisation:
         self._pose = self._response_to_pose(K)
 
     def _response_to_pose(self, K):
-        """ζ and interior displacements for unit pose increments."""
+        """ζ and interior du (3 n_f, 6) for unit pose increments."""
         s, m = self.solver, len(self.solver.nodes)
         shift = np.zeros((m, 3, 6))
         shift[:, :, :3] = -np.eye(3)
@@ -339,7 +339,7 @@ class _Linearisation:
         return self._wrench_change(self._pose, True)
 
     def newton_step(self, asked):
-        """Interior du (n_f, 3), ζ (m, 3), pose increment (6,) as `asked`."""
+        """Newton step: interior du (n_f, 3), ζ (m, 3), dp (6,) as `asked`."""
         x = self._lu.solve(-self.point.balance.reshape(-1, 1))
         carried = self._wrench_change(x, False)[:, 0]
         dp, G = np.zeros(6), self.wrench_response()[np.ix_(asked, asked)]
@@ -357,20 +357,20 @@ def _block_diagonal(blocks: np.ndarray):
     return bsr_matrix((blocks, np.arange(k), np.arange(k + 1))).tocsc()
 
 
-# Parts of the first sample's load at which to enter from small strain.
+# Parts of the first sample's load at which a small-strain start is tried.
 _ENTRIES = (1.0, 0.5, 0.25, 0.1, 0.04)
 
 
 @dataclass
 class FiniteHistory:
-    """States over the samples; a failed one keeps what was reached.
+    """States over N samples; a failed one keeps the last equilibrium found.
 
     Attributes:
-        states: State of every sample, None where there was none.
+        states: State of every sample, None if there is none.
         K_c: Cartesian stiffness about the ZMP, NaN where failed, (N, 6, 6).
         reports: Convergence of every sample.
-        reached: Part of the way from the sample before to this one's load
-            that found an equilibrium, (N,); 1 where converged.
+        reached: Part of the way from the sample before (at first, from no
+            load) for which an equilibrium was found, (N,); 1 if converged.
     """
 
     states: list[FiniteState | None]
@@ -393,13 +393,12 @@ def follow(
     say: Callable[[str], object] | None = None,
     ground: Ground = FLAT,
 ) -> FiniteHistory:
-    """Follow force and ZMP sample by sample, with the contact's history.
+    """Solve for force and ZMP sample by sample, in finite strain.
 
-    The first sample is entered from the small-strain solution (`entry`, if
-    known), at a part of its load where need be; the others from the sample
-    before. Where Newton fails the load's way is bisected. Without an
-    equilibrium the contact's history ends: the samples that follow are left
-    out. `say` is called with one line of progress for each.
+    The first sample starts from the small-strain solution (`entry`, if known),
+    if need be at a part of its load; the others from the sample before, in
+    smaller parts if Newton fails. After a sample without equilibrium the rest
+    is left out: contact depends on its history. `say` gets a line for each.
     """
     body = NeoHookeanBody(sole.mesh, sole.material)
     solver = FiniteStrainSolver(body, law, ground=ground)
@@ -431,7 +430,7 @@ def follow(
 
 
 def _enter(sole, solver, target: Target, largest: float, known: State | None):
-    """First sample: small strain at a part of the load, then all of it."""
+    """Solve a first sample from small strain; state, report, part reached."""
     small = ContactSolver.of(sole, solver.law, ground=solver.ground)
     best = None
     for part in _ENTRIES:
@@ -476,7 +475,7 @@ TABLE = "finite_strain.csv"
 def compare_strains(
     setup: Setup, say: Callable[[str], object] | None = None
 ) -> dict:
-    """Follow heel strike in small and in finite strain, by the exact law.
+    """Simulate heel strike in small and in finite strain, by the exact law.
 
     >>> import drake_exo as dx
     >>> case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
@@ -486,8 +485,7 @@ def compare_strains(
     >>> print(f"{found['c_tr_finite'] / found['c_tr_small']:.2f}")
     1.02
 
-    Both use linear elements, whatever the case's are: finite strain has no
-    others.
+    Both use linear elements, whatever the case's: finite strain has no others.
 
     Args:
         setup: A sole and its step.
@@ -533,10 +531,10 @@ def compare_strains(
 
 
 def from_json(found: dict, name: Path | str) -> dict:
-    """What `compare_strains` returned, out of a file: its null is NaN again.
+    """What `compare_strains` returned, as read from a file: null becomes NaN.
 
     Raises:
-        InputError: It is no longer what was written; names the file.
+        InputError: It is damaged; names the file.
     """
 
     def numbers(row: dict) -> dict:
@@ -545,7 +543,7 @@ def from_json(found: dict, name: Path | str) -> dict:
     try:
         sole = numbers(found)
         sole["samples"] = [numbers(row) for row in found["samples"]]
-        for written in (table, _columns):  # what is made of it
+        for written in (table, _columns):  # they fail on damaged entries
             written({"": sole})
     except (AttributeError, LookupError, TypeError, ValueError):
         raise InputError(
@@ -568,9 +566,9 @@ def _failures(finite: FiniteHistory, rows: np.ndarray) -> list[dict]:
 def _sample(
     sole: Sole, small: StepHistory, finite: FiniteHistory, q: int, up
 ) -> dict:
-    """Figures of one sample by both, NaN where there is no equilibrium.
+    """Figures of sample q in both strains, NaN without an equilibrium.
 
-    `up` is the ground's normal on the whole, (3,).
+    `up` is the normal of the plane that fits the ground, (3,).
     """
     row = {
         "converged": bool(finite.reports[q].converged),
@@ -603,7 +601,7 @@ def _sample(
 
 
 def table(found: dict[str, dict]) -> str:
-    """Text table of several soles by name, small beside finite strain."""
+    """Text table of soles by name, small beside finite strain."""
     head = (
         f"{'sole':11s} {'sample':>6s} {'σ_max(K_tr) [N/m]':>21s} "
         f"{'σ_min(K_rot) [N·m/rad]':>22s} {'tilt [°]':>13s} "
@@ -658,7 +656,7 @@ def _remarks(sole: dict) -> list[str]:
 
 
 def write_table(folder: Path, found: dict[str, dict], mark: str = "") -> str:
-    """Write finite_strain.txt, marked, and .csv; the text."""
+    """Write finite_strain.txt (with a verdict's mark) and .csv; its text."""
     text = table(found)
     write_text(folder / "finite_strain.txt", text, mark)
     write_csv(folder / TABLE, _columns(found))

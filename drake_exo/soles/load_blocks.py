@@ -1,6 +1,6 @@
-"""What a case says of its load: files, a walking pattern, a recording.
+"""Loads as a case file describes them: files, walking pattern, recording.
 
-Every block gives a `Load` of the files that it names, relative to a folder.
+Every block reads a `Load` from the files that it names, relative to a folder.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ Vector2 = tuple[float, float]
 
 
 def angle() -> Any:
-    """A field of settings: a turn, at most once around."""
+    """A settings field for an angle [rad], at most one turn."""
     return quantity("rad", 0.0, minimum=-6.29, maximum=6.29)
 
 
@@ -64,7 +64,7 @@ class OneFoot:
 
 @dataclass(frozen=True)
 class Csv:
-    """A plain CSV of force and ZMP."""
+    """A CSV of force and ZMP, see `read_csv`."""
 
     file: str
     origin_m: Vector2 = (0.0, 0.0)
@@ -80,10 +80,11 @@ class ForcePlate:
     """One plate of an OpenSim `.mot` file (x forward, y up, z right).
 
     Attributes:
-        file: With columns `<prefix>_vx`, `_px`, `_my` and so on.
-        prefix: Such as "ground_force_2".
-        start_s, end_s: Window.
-        origin_m, yaw_rad: Of the sole's frame in the laboratory.
+        file: File with columns `<prefix>_vx`, `_px`, `_my` and so on.
+        prefix: The plate's, such as "ground_force_2".
+        start_s, end_s: Window of time that is read.
+        origin_m, yaw_rad: Place and heading of the sole's frame in the
+            laboratory (x forward, y left).
         least_force_n: Samples below are left out at both ends.
     """
 
@@ -127,12 +128,12 @@ class ForcePlate:
 class Playback:
     """One stance of an HRP-4 playback file (37 columns, no times).
 
-    The first column is 0 in double support, 1 and 2 on the left and right foot.
-    The force is m (a + g); in double support it is shared by the ZMP's
-    progress between its places at both ends (`share_double_support`).
+    The first column is 0 in double support, 1 on the left foot, 2 on the right.
+    The force is m (a + g); in double support the feet share it by the ZMP's
+    progress from one to the other (`share_double_support`).
 
     Attributes:
-        foot, step: Which stance of which foot, counted from 0.
+        foot, step: Which foot, and which of its whole stances (from 0).
         period_s: Time between rows.
         ankle_to_centre_m: Sole's centre from the ankle: forward, and outward
             (away from the other foot).
@@ -200,10 +201,10 @@ class Playback:
 
 
 def stances(phase: np.ndarray, mine: int) -> list[tuple[int, int]]:
-    """Row ranges around single supports `mine`, double supports included.
+    """Rows (first, end) of each whole stance of the foot in phase `mine`.
 
-    Only stances between two double supports that others' single supports
-    bound are whole; standing at either end of the file is left out.
+    They are its single support and the double supports around it. Standing at
+    either end of the file is left out.
     """
     edges = _edges(phase)
     return [
@@ -214,7 +215,7 @@ def stances(phase: np.ndarray, mine: int) -> list[tuple[int, int]]:
 
 
 def _edges(phase: np.ndarray) -> np.ndarray:
-    """Rows at which a phase begins, and the end."""
+    """Rows at which a phase begins, and the number of rows."""
     change = np.flatnonzero(np.diff(phase)) + 1
     return np.concatenate([[0], change, [len(phase)]])
 
@@ -251,7 +252,7 @@ PREDICTION_COLUMNS = ("time_s", "grf_x_n", "grf_z_n", "cop_x_m")
 
 @dataclass(frozen=True)
 class Prediction:
-    """A planar prediction of the exoskeleton half, in the sagittal plane.
+    """A prediction of an exoskeleton study, in the sagittal plane.
 
     `drake-exo predict` and `calibrate` write `NAME_ground_reaction.sto`
     (x forward, y up; `STO_COLUMNS`); a CSV file whose header names
@@ -261,7 +262,7 @@ class Prediction:
     Attributes:
         origin_m: Sole's centre in the laboratory.
         share: Part of the force on this foot.
-        least_force_n: Where there is less, both ends are left out.
+        least_force_n: Samples below are left out at both ends.
     """
 
     file: str
@@ -292,7 +293,7 @@ class Prediction:
 
 
 def _loaded(force: np.ndarray, least_n: float, refusal: str) -> slice:
-    """From the first sample that bears so much to the last one."""
+    """Slice from the first to the last sample that bears `least_n` [N]."""
     loaded = np.flatnonzero(force >= least_n)
     if len(loaded) == 0:
         raise InputError(refusal)
@@ -318,7 +319,7 @@ class Constant:
     samples: int = quantity(None, 1, minimum=1, maximum=MOST_SAMPLES)
 
     def load(self, root: Path | None = None) -> Load:
-        """As a load."""
+        """Make the load; `root` is not used."""
         return Load(
             0.005 * np.arange(self.samples),
             np.tile(np.array(self.force_n, float), (self.samples, 1)),
@@ -327,8 +328,8 @@ class Constant:
         )
 
 
-# Reads a step, a `measurement.steps.RecordedStep`, seen from the foot: of the
-# study's path, trial, foot, start, end, number, force [N].
+# Reads a step as a `measurement.steps.RecordedStep`, in the foot's frame; takes
+# the study's path, trial, foot, start, end, step (from 0), least force [N].
 StepReader = Callable
 _FILES = (
     "pattern", "one_foot", "csv", "force_plate", "playback", "prediction",
@@ -341,9 +342,9 @@ _OF_RECORDING = (
 
 @dataclass(frozen=True)
 class LoadBlock:
-    """Where force and ZMP come from: exactly one kind.
+    """Where force and ZMP come from: exactly one source.
 
-    `recording` is a study file; the keys behind it say which of its steps.
+    `recording` is a study file; the keys after it say which of its steps.
     """
 
     pattern: Robot | None = None
@@ -389,20 +390,20 @@ class LoadBlock:
 
     @property
     def file(self) -> str | None:
-        """Path of the file that forces are in, a recording's study apart."""
+        """Path of the file of forces; None if none, or for a recording."""
         return getattr(self._block, "file", None)
 
     @property
     def _block(self):
-        """The one that is given; None of a recording."""
+        """The block that is given; None for a recording."""
         return next(filter(None, (getattr(self, n) for n in _FILES)), None)
 
     def load(self, root: Path, read_step: StepReader | None = None) -> Load:
-        """Read the load; files are relative to `root`.
+        """Read the load.
 
         Args:
-            root: The folder.
-            read_step: For a recording.
+            root: Folder that files are relative to.
+            read_step: Reader of a recording's step, see `Case.read`.
         """
         if self.recording is not None:
             load = self._recorded(read_step)
@@ -422,8 +423,8 @@ class LoadBlock:
         )  # fmt: skip
         rotation = None
         if self.pose == "measured":
-            # Yaw is left as the foot was set down: a sole that sticks would
-            # answer the markers' noise by moments that no ground bears.
+            # Yaw stays as the foot was set down: a sticking sole would answer
+            # the markers' noise with moments that no ground bears.
             rotation = without_yaw(step.rotation)
         load = Load(
             step.times, step.force, step.cop, step.name, step.free_moment,

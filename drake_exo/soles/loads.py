@@ -1,8 +1,8 @@
-"""Loads: desired force and ZMP of one foot over one contact phase.
+"""Loads: desired force and ZMP of one foot over one or more contact phases.
 
-In the sole's world frame: x forward, y left, z up, the origin below the sole
-frame's origin as the foot is set down. `load_blocks.py` says where they come
-from.
+They are in the sole's world frame: x forward, y left, z up, the origin below
+the sole frame's origin as the foot is set down. `load_blocks.py` reads them
+from files.
 """
 
 from dataclasses import dataclass, replace
@@ -21,9 +21,9 @@ from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.contact.newton import Target
 from drake_exo.soles.numerics import rotation_z
 
-_PAUSE_S = 0.2  # between loads that follow one another
+_PAUSE_S = 0.2  # between loads that are joined
 MOST_SAMPLES = 100_000  # of a load; each is a system to solve
-# A sample's part of a load's arrays.
+# Shape of a sample's part of each array.
 _SHAPES = {
     "times": (), "force": (3,), "zmp": (2,), "free_moment": (),
     "rotation": (3, 3),
@@ -66,8 +66,8 @@ class Load:
             orientation follows from the ZMP.
         moments_cut: Number of samples whose free moment was cut to what
             friction bears, see `bearable`.
-        begins: Samples at which the foot is set down anew, the first is 0.
-        weights: Weights of the contact phases that begin there.
+        begins: Samples at which the foot is set down anew; the first is 0.
+        weights: Weights in the cost of the contact phases that begin there.
     """
 
     times: np.ndarray
@@ -177,10 +177,7 @@ class Load:
         )
 
     def placed(self, origin, yaw: float) -> "Load":
-        """The load in the frame of a foot at `origin` [m], turned by `yaw`.
-
-        `yaw` is in rad.
-        """
+        """The load in the frame of a foot at `origin` [m] (2,), yaw in rad."""
         turn = rotation_z(-yaw)
         return replace(
             self,
@@ -190,14 +187,14 @@ class Load:
         )
 
     def every(self, count: int) -> "Load":
-        """The load at `count` samples, spread evenly over all of them."""
+        """The load at `count` of its samples (if it has them), evenly spread."""
         index = np.unique(
             np.round(np.linspace(0, len(self.times) - 1, count)).astype(int)
         )
         return self.at(index)
 
     def at(self, index: np.ndarray) -> "Load":
-        """The load at some samples, given by increasing numbers."""
+        """The load at some of its samples, given by increasing indices."""
         left, begins = np.unique(self.phase[index], return_index=True)
         arrays = {name: getattr(self, name) for name in _SHAPES}
         return replace(
@@ -271,8 +268,8 @@ class Load:
     def target(self, q: int, reference, ground: Ground = FLAT) -> Target:
         """What a simulation must reach at sample q, counted from 0.
 
-        `reference` is the nodes' places at the sample before (m, 3), or a
-        `Start`.
+        `reference` is the nodes' places at the sample before [m], (m, 3), or at
+        the first sample of a phase a `Start`.
         """
         return Target(
             self.force[q],
@@ -285,7 +282,7 @@ class Load:
 
     @property
     def is_measured(self) -> np.ndarray:
-        """Samples whose pose is prescribed, (N,)."""
+        """Which samples have a prescribed pose, (N,) bool."""
         if self.rotation is None:
             return np.zeros(len(self.times), dtype=bool)
         return np.isfinite(self.rotation).all(axis=(1, 2))
@@ -314,10 +311,10 @@ class Load:
             )
 
     def bearable(self, friction: float, width: float, up) -> "Load":
-        """The load, its free moments cut to what friction can bear.
+        """The load with its free moments cut to what friction can bear.
 
-        A line of contact across the sole, of length `width` w [m] under an even
-        load F_n, begins to turn about the ground's normal `up` at the moment
+        A line of contact across the sole, `width` w [m] long and evenly loaded
+        by F_n, begins to turn about the ground's normal `up` (3,) at the moment
         (μ F_n − |F_t|) w / 4. At small loads plates and their filters report
         more than any ground bears.
         """
@@ -340,7 +337,7 @@ class Load:
         return np.where(across > 0, along / across, np.inf)
 
     def _on_ground(self, up) -> tuple[np.ndarray, np.ndarray]:
-        """Force across and along a ground of normal `up` [N], (N,) each."""
+        """Normal and tangential force on a ground of normal `up` [N], (N,)."""
         across = self.force @ up
         return across, np.linalg.norm(self.force - np.outer(across, up), axis=1)
 
@@ -378,7 +375,7 @@ class Load:
 
 
 def _joined(loads, name: str, fill) -> np.ndarray | None:
-    """An array of loads one after the other; None where none has it."""
+    """Join an array of all loads, filled where missing; None if none has it."""
     parts = [getattr(load, name) for load in loads]
     if all(part is None for part in parts):
         return None
@@ -396,10 +393,10 @@ CSV_COLUMNS = ("time_s", "force_x_n", "force_y_n", "force_z_n",
 
 
 def read_csv(path) -> Load:
-    """A CSV file with a header line naming `CSV_COLUMNS` in any order.
+    """Read a load from a CSV file whose header names `CSV_COLUMNS`.
 
-    A column free_moment_nm may be among the others; load (0, 1, ...) and
-    weight tell several contact phases apart.
+    Further columns may be free_moment_nm, and for several contact phases load
+    (0, 1, ...) and weight.
     """
     used = (*CSV_COLUMNS, "free_moment_nm", "load", "weight")
     table = read_columns(path, CSV_COLUMNS, used)
@@ -422,7 +419,7 @@ def read_csv(path) -> Load:
                 f"{path}: column 'weight' has to be above 0, and the same in "
                 "all rows of a load"
             )
-        for k in begins[1:]:  # where it has a clock of its own
+        for k in begins[1:]:  # a phase may have a clock of its own
             if t[k] <= t[k - 1]:
                 t[k:] += t[k - 1] + _PAUSE_S - t[k]
     return Load(
@@ -444,8 +441,8 @@ def read_columns(
     Args:
         path: The file.
         needed: Names that it must have, in any order, among others.
-        used: Names of columns without gaps; all by default.
-        may_be_empty: It may have no rows, as of a run that took no steps.
+        used: Names of columns that must have no gaps; all by default.
+        may_be_empty: Allow a file without rows (of a run without steps).
 
     Raises:
         InputError: It cannot be read, a name is missing, or a row is damaged.
@@ -467,7 +464,7 @@ def read_columns(
 
 
 def text_lines(path) -> list[str]:
-    """Lines of a text file of a load."""
+    """Read the lines of a load's text file."""
     return read_text(
         path, "check path and data_root (--data-root)"
     ).splitlines()
@@ -476,9 +473,10 @@ def text_lines(path) -> list[str]:
 def numbers_of(
     path, lines, first: int, columns: int, separator=None, whole=...
 ) -> np.ndarray:
-    """Numbers of the lines from number `first` on, empty ones left out.
+    """Numbers (rows, columns) of `lines`, empty ones left out.
 
-    Columns that are `whole` have no gaps.
+    `first` is the number of the first line, for messages; columns `whole` must
+    have no gaps.
     """
     rows = [
         (number, line.split(separator))

@@ -1,4 +1,4 @@
-"""Compiled functions, and rotations: hat operator, exponential map, angles."""
+"""Compilation with numba, and rotations: hat operator, vectors, angles."""
 
 from collections.abc import Callable
 
@@ -11,7 +11,7 @@ from drake_exo.errors import was_interrupted
 
 
 class _Compiled(Dispatcher):
-    """Ctrl-C while it runs is a KeyboardInterrupt, not a SystemError."""
+    """Compiled function; Ctrl-C raises KeyboardInterrupt, not SystemError."""
 
     def __call__(self, *args):
         try:
@@ -23,12 +23,12 @@ class _Compiled(Dispatcher):
 
 
 def njit(**options) -> Callable[[Callable], Dispatcher]:
-    """A decorator as `numba.njit(cache=True)`, with its options.
+    """Decorator like `numba.njit(cache=True)`, with a cache safe to edits.
 
-    numba compiles anew when a function's own file has changed. What it calls
-    from other modules is compiled into it, so that their files count here,
-    too: all whose compiled functions the function's module has imported.
-    Decorate only in modules on disk: numba knows no other place for its cache.
+    numba compiles anew when a function's own file has changed. Functions of
+    other modules are compiled into it, so here the files of all compiled
+    functions that its module imports count, too. Decorate only in modules on
+    disk: numba knows no other place for its cache.
     """
 
     def compiled(function: Callable) -> Dispatcher:
@@ -40,7 +40,7 @@ def njit(**options) -> Callable[[Callable], Dispatcher]:
             if isinstance(value, Dispatcher)
             and value.__module__ != function.__module__
         ]
-        # What the cache on disk must have been made of.
+        # The cache on disk holds only for these versions of all files.
         index = found._cache._cache_file
         index._source_stamp = (
             index._source_stamp,
@@ -52,7 +52,7 @@ def njit(**options) -> Callable[[Callable], Dispatcher]:
 
 
 def hat(v: np.ndarray) -> np.ndarray:
-    """Skew matrices (..., 3, 3) of vectors (..., 3): times b it is a × b."""
+    """Skew matrices (..., 3, 3) of vectors (..., 3); times b they are v × b."""
     v = np.asarray(v)
     out = np.zeros((*v.shape[:-1], 3, 3), dtype=v.dtype)
     out[..., 0, 1] = -v[..., 2]
@@ -66,7 +66,7 @@ def hat(v: np.ndarray) -> np.ndarray:
 
 @njit()
 def multiply(a, b, out):
-    """Product of 3 × 3 matrices, into out, for compiled code."""
+    """Write the product of 3 × 3 matrices into out, in compiled code."""
     for i in range(3):
         for j in range(3):
             out[i, j] = 0.0
@@ -80,7 +80,7 @@ def exp_rotation(w: np.ndarray) -> np.ndarray:
 
 
 def rotation_vector(R: np.ndarray) -> np.ndarray:
-    """Rotation vector w [rad] with exp(hat(w)) = R, below half a turn."""
+    """Rotation vector w [rad] (3,), at most π long, with exp(hat(w)) = R."""
     return Rotation.from_matrix(R).as_rotvec()
 
 
@@ -97,14 +97,14 @@ def angles_xyz(R: np.ndarray) -> np.ndarray:
 
 
 def rotations_xyz(angles: np.ndarray) -> np.ndarray:
-    """R = Rx·Ry·Rz of angles [rad] (..., 3)."""
-    # SciPy 1.15 takes rows alone.
+    """Rotations R = Rx·Ry·Rz (..., 3, 3) of angles [rad] (..., 3)."""
+    # SciPy 1.15 takes at most two dimensions.
     rows = Rotation.from_euler("XYZ", np.reshape(angles, (-1, 3)))
     return rows.as_matrix().reshape(*np.shape(angles), 3)
 
 
 def rotation_z(yaw: float) -> np.ndarray:
-    """Rotation by `yaw` [rad] about z."""
+    """Rotation matrix (3, 3) of a turn by `yaw` [rad] about z."""
     c, s = np.cos(yaw), np.sin(yaw)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -115,7 +115,7 @@ def yaw_of(R: np.ndarray) -> float:
 
 
 def without_yaw(R: np.ndarray) -> np.ndarray:
-    """Rx·Ry of rotations Rx·Ry·Rz, (..., 3, 3)."""
+    """The part Rx·Ry of rotations R = Rx·Ry·Rz, (..., 3, 3)."""
     c, s = R[..., 0, 0], -R[..., 0, 1]
     size = np.hypot(c, s)
     c, s, zero, one = c / size, s / size, np.zeros_like(c), np.ones_like(c)
@@ -124,5 +124,5 @@ def without_yaw(R: np.ndarray) -> np.ndarray:
 
 
 def tilt_deg(R: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Angle between the sole's normal and the ground's, (3,) [°], (...)."""
+    """Angle [°] (...) between a sole's z axis and the normal `up` (3,)."""
     return np.rad2deg(np.arccos(np.clip(R[..., 2] @ up, -1.0, 1.0)))

@@ -1,4 +1,4 @@
-"""One simulated step: its figures by name, checks, tables, pictures, files."""
+"""Results of a simulated step: figures, checks, tables, pictures, files."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -38,17 +38,17 @@ from drake_exo.soles.simulation import (
     write_history,
 )
 
-# Linear elasticity is some per cent off at the first, and turns elements
-# inside out from the second on.
+# Strains at which linear elasticity is some per cent off, and from which on it
+# turns elements inside out.
 SMALL_STRAIN, _INSIDE_OUT = 0.3, 1.0
-_TILT_DEG = 20.0  # beyond, a small-strain pose is not that of a real foot
+_TILT_DEG = 20.0  # beyond, a small-strain pose is not a real foot's
 _ZMP_ERROR = 0.02  # metres
-_NEAR_SLIP = 0.95  # part of μ
-# Less force [N] and longer contact [s] are no step of a foot.
+_NEAR_SLIP = 0.95  # largest part of μ that a load may use
+# Less force [N] or a longer contact [s] suggests other units.
 _LIGHT, _LONG = 5.0, 20.0
-_APART = 0.5  # of the usual spacing more; a row that is missing makes it 1
-_UNDERCUT = 0.01  # part of the bare surface
-_LOST = 0.01  # part of a file's surface
+_APART = 0.5  # largest excess over the usual spacing; a missing row makes it 1
+_UNDERCUT = 0.01  # largest part of the bare surface that faces upwards
+_LOST = 0.01  # largest part of a file's surface that is not in the mesh
 _COMPLEMENTARITY = 1e-6
 _NOT_SMALL = (
     "small strain does not hold so far; judge the sole in finite strain "
@@ -109,7 +109,7 @@ def step_checks(step) -> tuple[Check, ...]:
 
 
 def _notes(step):
-    """What a foot's user ought to know: name, whether it holds, value, ..."""
+    """Arguments of `check` for notes: name, holds, value, limit, unit, text."""
     load = step.setup.load
     most = float(load.force[:, 2].max())
     yield (
@@ -187,10 +187,10 @@ _TOGETHER = 16  # samples whose displacements are computed at a time
 
 @dataclass
 class Step:
-    """A simulated sole at the N samples of a step.
+    """A sole simulated at the N samples of a step, as by `Case.simulate`.
 
-    `Case.simulate` returns it. World frame: x forward, y left, z up; SI units.
-    A sample that did not converge has NaN stiffness.
+    World frame: x forward, y left, z up; SI units. A sample that did not
+    converge has NaN stiffness.
 
     >>> import drake_exo as dx
     >>> step = dx.soles.Case.from_text(dx.soles.EXAMPLE).simulate()
@@ -215,7 +215,7 @@ class Step:
     seconds: dict[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        # Not the arrays: a notebook shows what its last line is.
+        # Without the arrays: a notebook shows its last line's value.
         return (
             f"Step({self.setup.name!r}, {len(self.times)} samples, c_tr "
             f"{self.c_tr:.4g} N/m, c_rot {self.c_rot:.4g} N·m/rad)"
@@ -243,8 +243,8 @@ class Step:
     ) -> "Step":
         """Simulate a sole by the exact law, with the law's scale r [N/m].
 
-        The method is the case's. Where nodes reach the ground that were not
-        expected to, the sole is simulated again with all its bare nodes.
+        The method is the case's. If a node reaches the ground that is not among
+        those that may touch, the sole is simulated again with all bare nodes.
         """
         law = ContactLaw(setup.settings.contact.friction, r)
         kinds = {"newton": ContactSolver, "gauss_seidel": GaussSeidelSolver}
@@ -280,25 +280,24 @@ class Step:
 
     @property
     def _zmp_on_ground(self) -> np.ndarray:
-        """With its height, (N, 3)."""
+        """ZMP with its height [m], (N, 3)."""
         F, P = self.history.F, self.history.P
         return self.setup.ground.zero_moment_point(F, P)
 
     @property
     def free_moment(self) -> np.ndarray:
-        """Moment of the contact forces about the vertical through the ZMP.
+        """Moment about the vertical through the ZMP [N·m], (N,).
 
-        In N·m, (N,).
+        It is that of the contact forces.
         """
         arm = self.history.P - self._zmp_on_ground[:, None]
         return np.cross(arm, self.history.F)[:, :, 2].sum(axis=1)
 
     @property
     def zmp_error(self) -> float:
-        """RMS distance of the ZMP from the load's, over prescribed poses [m].
+        """RMS distance [m] of the ZMP from the load's, over prescribed poses.
 
-        Only samples that converged count; where poses are free the ZMP is the
-        load's.
+        Only samples that converged count; with a free pose both are the same.
         """
         load = self.setup.load
         off = (self.zmp - load.zmp)[self.converged & load.is_measured]
@@ -334,7 +333,7 @@ class Step:
 
     @property
     def pressed(self) -> float:
-        """Largest upward force over Young's modulus times the sole's area."""
+        """Rough strain: largest upward force over Young's modulus · area."""
         area = self.sole.mesh.contact_areas.sum()
         stiff = self.sole.material.youngs_modulus_pa * area
         return float(self.setup.load.force[:, 2].max() / stiff)
@@ -365,10 +364,10 @@ class Step:
 
     @property
     def stability(self) -> np.ndarray:
-        """Least eigenvalue of −K_c with lengths over 0.05 m [N/m], (N,).
+        """Least eigenvalue of S sym(−K_c) S [N/m], (N,); see docs/soles.md.
 
-        Above 0 suffices for stability under a force and moment that stay as
-        they are.
+        S divides lengths by 0.05 m. Above 0 suffices for stability under a
+        force and moment that stay as they are.
         """
         return stability(self.history.K_c)
 
@@ -384,7 +383,7 @@ class Step:
 
     @property
     def heel_strike(self) -> int:
-        """Number of samples of heel strike; of several loads, in the first."""
+        """Number of samples of heel strike; with several loads, the first's."""
         return strikes(self.setup)[0][1]
 
     @cached_property
@@ -455,7 +454,7 @@ class Step:
         for part in np.array_split(good, len(good) // _TOGETHER + 1):
             for u in sole.displacement(history.F[part] @ history.R[part]):
                 eps = sole.strain(u)
-                # |λ| <= Frobenius norm: most elements need no eigenvalues.
+                # |λ| <= Frobenius norm, so most elements need no eigenvalues.
                 able = np.sqrt((eps**2).sum(axis=(1, 2))) > largest
                 values = np.abs(np.linalg.eigvalsh(eps[able]))
                 largest = float(values.max(initial=largest))
@@ -485,7 +484,7 @@ class Step:
             margin = law.friction * f[:, 2] - size
             speed = np.linalg.norm(slip, axis=1)
             touching = f[:, 2] > 0
-            # Slip with room in the cone, or not against the force.
+            # Slip inside the cone, or not opposite to the force.
             free = np.minimum(margin, speed)[touching]
             along = (f[:, :2] * slip).sum(axis=1) + size * speed
             worst = max(
@@ -511,7 +510,7 @@ class Step:
         columns = {"time_s": load.times}
         forces = "force_x_n", "force_y_n", "force_z_n"
         columns |= zip(forces, load.force.T, strict=True)
-        # Of a given pose what came out, and beside it what was recorded.
+        # With a prescribed pose, the simulated ZMP beside the recorded one.
         own = load.is_measured & self.converged
         zmp = np.where(own[:, None], self.zmp, load.zmp)
         columns["zmp_x_m"], columns["zmp_y_m"] = zmp.T
@@ -543,7 +542,7 @@ class Step:
         }
 
     def summary(self) -> dict:
-        """What summary.json says of the simulation, without its times."""
+        """The entries of summary.json on the simulation, without times."""
         margin, mesh = self.stability, self.sole.mesh
         density = self.sole.material.density_kg_per_m3
         loads = self.loads()
@@ -598,7 +597,7 @@ class Step:
         }
 
     def plot(self, label: str = "", **beside: "Step"):
-        """Figure of both stiffnesses over time, and other steps' by label."""
+        """Figure of both stiffnesses over time, beside other steps by label."""
         # matplotlib takes half a second to load.
         from drake_exo.soles import pictures
 
@@ -617,9 +616,9 @@ class Step:
         """Write an HTML page that plays the step, beside others by label.
 
         Args:
-            path: Of the page.
-            mark: `Verdict.mark`, the line on what does not hold.
-            beside: The other steps.
+            path: Path of the page.
+            mark: `Verdict.mark`, the line on checks that do not hold.
+            beside: Other steps by label.
         """
         from drake_exo.soles.animation import SoleMotion, write_animation
 
@@ -641,9 +640,9 @@ class Step:
 
         Args:
             folder: Where to write them.
-            mark: `Verdict.mark`, the line on what does not hold.
-            label: Name of this step in stiffness.png, where others are shown
-                `beside` it.
+            mark: `Verdict.mark`, the line on checks that do not hold.
+            label: Name of this step in stiffness.png, in which other steps are
+                shown `beside` it, by label.
         """
         from drake_exo.soles import pictures
 
@@ -710,7 +709,7 @@ class Step:
 
 
 def strikes(setup: Setup) -> list[tuple[int, int]]:
-    """First sample of heel strike, and first one after it, of every load."""
+    """Index of heel strike's first sample and of the next after it, by load."""
     fraction = setup.settings.cost.heel_strike_fraction
     return [
         (p.start, p.start + heel_strike_count(p.stop - p.start, fraction))
@@ -719,10 +718,10 @@ def strikes(setup: Setup) -> list[tuple[int, int]]:
 
 
 class SoleSamples(NamedTuple):
-    """A sole as a rigid whole at the N samples that converged.
+    """Pose of a sole and force on it at the N samples that converged.
 
     Attributes:
-        origin: Place of the sole frame [m], (N, 3).
+        origin: Place of the sole frame's origin [m], (N, 3).
         rotation: Orientation of the sole frame, (N, 3, 3).
         force: Upward force of the ground [N], (N,).
         cop: Centre of pressure [m], (N, 2).
@@ -741,9 +740,9 @@ class SoleSamples(NamedTuple):
 
 
 def sole_samples(source: Step | Path | str) -> SoleSamples:
-    """Poses, forces and centres of pressure of a step, to reduce the sole by.
+    """Poses, forces and centres of pressure of a step.
 
-    `drake_exo.contact.reduce_sole` takes them.
+    `drake_exo.contact.reduce_sole` fits spheres to them.
 
     >>> import drake_exo as dx
     >>> step = dx.soles.Case.from_text(dx.soles.EXAMPLE).simulate()

@@ -478,7 +478,7 @@ class _Thickness:
         return float(np.median(self.positive))
 
     def at(self, nodes: np.ndarray) -> np.ndarray:
-        """Thickness at points (n, 3) [m], (n,), from the four nearest places."""
+        """Thickness at points (n, 3) [m], (n,), from the nearest places."""
         at = np.argwhere(self.values > 0)
         tree = cKDTree(at * self.step + self.low)
         _, near = tree.query(nodes[:, :2], k=4)

@@ -1,8 +1,9 @@
 """Walking pattern of one cyclic step: ZMP, CoM and forces of one foot.
 
-The programme of docs/soles.md: c̈ = ω² (c − z), ω² = g / h, cyclic: one step
-later the state is the same, mirrored and one step length ahead. The landing
-foot is the right one; y is to the left; sole frame of the right foot.
+`plan` solves the quadratic programme of docs/soles.md for the CoM c and the ZMP
+z: c̈ = ω² (c − z), ω² = g / h. One step later the state is the same, mirrored
+and one step length ahead. The landing foot is the right one; its sole frame is
+used (y to the left). `Gait` gives a search walks to choose from.
 """
 
 from dataclasses import dataclass, replace
@@ -21,33 +22,33 @@ from drake_exo.files.schema import not_negative, positive, quantity
 from drake_exo.soles.loads import Load
 
 _DEGREE, _PIECES, _GRID = 5, 16, 161
-_SPEED_TIME = 0.03  # [s]; the ZMP's speed times it counts as a distance
-_LEAST = 1e-8  # of the cost's size
-_LEFT = 1e-10  # of 1 where no ZMP keeps inside its bounds, rounding apart
-_HOLD = 1e2  # weight [1/s²] of keeping the feet's own ZMPs to their lines
+_SPEED_TIME = 0.03  # [s]; turns the ZMP's speed into a distance in the cost
+_LEAST = 1e-8  # regularisation, over the cost's size
+_LEFT = 1e-10  # residual (of 1) below which no ZMP keeps inside its bounds
+_HOLD = 1e2  # weight [1/s²] of keeping the feet's own ZMPs to parabolas
 _SIDES = "back_m", "outer_m", "front_m", "inner_m"
 _INSIDE = 0.015  # metres that the ZMP stays inside a sole's outline
 
 
 @dataclass(frozen=True)
 class Robot:
-    """Own walking pattern; the defaults are the authors' 80 kg robot's.
+    """Robot (or person) and step to plan; defaults: the authors' 80 kg robot.
 
     Attributes:
-        step_length_m: Between consecutive footprints.
-        step_width_m: Between the middles of the soles.
-        step_time_s: One step, double support included.
-        back_m, front_m: ZMP bounds of single support along the sole.
+        step_length_m: Distance between consecutive footprints along x.
+        step_width_m: Distance between the middles of the soles along y.
+        step_time_s: Duration of one step, double support included.
+        back_m, front_m: Bounds of the ZMP in single support along the sole.
         outer_m, inner_m: Likewise across, the latter towards the other
-            foot. What is not given is `within` the sole, or without one
-            that of the authors' robot.
-        ankle_m: Place of the ankle in the sole frame.
-        torque_weight: Factor w of the ankle torque in the energy.
+            foot. By default those of `within` the sole, or without a sole
+            those of the authors' robot.
+        ankle_m: Place of the ankle in the sole frame (x, y).
+        torque_weight: Factor w of the ankle torque in the cost.
         period_s: Time between samples.
-        first_s: Time since landing from which they are counted.
+        first_s: Time since landing from which samples are counted.
         least_share: Samples are left out below this part of the weight.
-        free: What of it a search may change; of zmp the path, drawn to a
-            place near the ankle by a weight.
+        free: What a search may change of it; zmp is the ZMP's path, by the
+            place near the ankle that it is drawn to, and how strongly.
     """
 
     mass_kg: float = quantity("kg", 80.0, minimum=0.5)
@@ -91,25 +92,25 @@ class Robot:
 
     @property
     def bounds(self) -> np.ndarray:
-        """Of the ZMP in single support: lowest and highest (x, y), (2, 2)."""
+        """Bounds of the ZMP in single support [m]: low, high (x, y), (2, 2)."""
         given = [getattr(self, name) for name in _SIDES]
         both = zip(given, (-0.1, -0.05, 0.1, 0.05), strict=True)
         return np.reshape([b if a is None else a for a, b in both], (2, 2))
 
     @property
     def bearing(self) -> tuple[float, float]:
-        """From when to when a foot bears `least_share` [s]."""
+        """Times since landing between which it bears `least_share` [s]."""
         begin = self.double_support_s * brentq(
             lambda s: smooth_share(s) - self.least_share, 0.0, 1.0
         )
         return begin, self.step_time_s + self.double_support_s - begin
 
     def within(self, places: np.ndarray) -> "Robot":
-        """With bounds, where none are given, 15 mm inside a sole.
+        """The robot with bounds that are not given set 15 mm inside a sole.
 
         Args:
-            places: Of its nodes in its frame [m], (m, 2); the bounds are
-                those of the largest rectangle.
+            places: Places of the sole's nodes in its frame [m], (m, 2); the
+                bounds are those of the largest rectangle inside.
 
         Raises:
             InputError: The sole is too narrow.
@@ -121,17 +122,17 @@ class Robot:
         return replace(self, **{name: fit[name] for name in free})
 
     def load(self, root: Path | None = None) -> Load:
-        """Plan the step; the right foot's load."""
+        """Plan the step and return the right foot's load."""
         return plan(self).foot_load()
 
 
 def _rectangle(places: np.ndarray) -> list[float]:
-    """The largest upright one 15 mm inside the hull of places (m, 2).
+    """Largest axis-parallel rectangle 15 mm inside the hull of places (m, 2).
 
-    Lowest x, y and highest x, y, to 0.1 mm.
+    Returns lowest x, y and highest x, y [m], to 0.1 mm.
     """
     *normal, offset = ConvexHull(places).equations.T
-    # Of every edge the farthest corner is inside.
+    # Inside, if its farthest corner in the direction of every edge is.
     corner = np.vstack([np.minimum(normal, 0), np.maximum(normal, 0)]).T
     room = -offset - _INSIDE
     middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
@@ -152,22 +153,22 @@ def _rectangle(places: np.ndarray) -> list[float]:
 
 @dataclass(frozen=True)
 class Pattern:
-    """CoM splines of one step, from landing to the next landing.
+    """Planned motion of one step, from landing to the next landing.
 
     Attributes:
-        robot: What walks.
-        com: Spline of (x, y) over [0, step_time].
+        robot: Robot and step that were planned.
+        com: Spline of the CoM's x, y [m] over [0, step_time].
     """
 
     robot: Robot
     com: BSpline
 
     def zmp(self, t: np.ndarray, order: int = 0) -> np.ndarray:
-        """Likewise, z = c − c̈ / ω², or a derivative."""
+        """ZMP z = c − c̈ / ω² at times t [s], or a derivative, (n, 2)."""
         return _zmp(self.com, self.robot.omega2, t, order)
 
     def at(self, spline: BSpline, t: np.ndarray, order: int = 0) -> np.ndarray:
-        """A spline or derivative over it and the mirrored next step, (n, 2)."""
+        """A spline (or derivative) over this step and the mirrored next one."""
         T = self.robot.step_time_s
         late = t > T
         out = spline(np.where(late, t - T, t), order)
@@ -181,8 +182,8 @@ class Pattern:
         """Force and ZMP of the right foot over its whole contact phase.
 
         Args:
-            like: Whose number of samples is taken, spread over the time in
-                which this foot bears as much.
+            like: Robot whose number of samples is taken, spread over the time
+                in which this foot bears at least `least_share`.
         """
         robot, other = self.robot, like or self.robot
         T, D = robot.step_time_s, robot.double_support_s
@@ -201,10 +202,10 @@ class Pattern:
         )
 
     def _own_zmp(self, t, z):
-        """Under the right foot: in double support its own line plus ρ/2…
+        """ZMP under the right foot at times t, of the total ZMP z, (n, 2).
 
-        The feet keep to parabolas a(t) and b(t) that continue their
-        single-support ZMP; what is left of the total, ρ, goes to both.
+        In double support the feet's ZMPs are parabolas a(t) and b(t) that
+        continue those of single support, plus ρ = z − (1 − α) a − α b each.
         """
         T, D = self.robot.step_time_s, self.robot.double_support_s
         own = z.copy()
@@ -222,16 +223,16 @@ class Pattern:
 
 
 def smooth_share(s: np.ndarray) -> np.ndarray:
-    """Share of the landing foot: quintic from 0 to 1, C² at both ends."""
+    """Share of weight on the landing foot: quintic from 0 to 1, C² at ends."""
     s = np.clip(s, 0.0, 1.0)
     return s**3 * (10 - 15 * s + 6 * s**2)
 
 
 def _feet(z, last: float, s, D: float):
-    """ZMP of the foot that unloads and of the one that lands, at s since that.
+    """ZMPs of the foot that unloads and of the landing one, s after landing.
 
-    Parabolas: the one starts with the place and speed that z has at `last` and
-    comes to rest, the other starts at rest and takes up those at D.
+    The first is a parabola from z's place and speed at time `last` to rest; the
+    second starts at rest and reaches z's place and speed at D.
     """
     s = np.asarray(s)[..., None]
     forth, back = s - s**2 / (2 * D), (s - D) + (s - D) ** 2 / (2 * D)
@@ -239,7 +240,7 @@ def _feet(z, last: float, s, D: float):
 
 
 def _mirrored(points, robot: Robot):
-    """One step on: ahead by the step length, mirrored about the path."""
+    """Points (n, 2) a step later: ahead by its length, mirrored sideways."""
     return np.stack(
         [points[:, 0] + robot.step_length_m, robot.step_width_m - points[:, 1]],
         axis=1,
@@ -247,7 +248,7 @@ def _mirrored(points, robot: Robot):
 
 
 def plan(robot: Robot) -> Pattern:
-    """Solve the quadratic programme, one for x and one for y.
+    """Plan the step: solve the quadratic programme, one for x and one for y.
 
     Raises:
         InputError: No ZMP inside the bounds carries such a step.
@@ -259,10 +260,10 @@ def plan(robot: Robot) -> Pattern:
     t = np.linspace(0, T, _GRID)
     z = partial(_zmp, basis, omega2)
     landing, alone, off = t[t < D], t[t >= D], t[t <= D]
-    # As the right foot lands and as it lifts off, too.
+    # The bounds hold as the right foot lands and as it lifts off, too.
     ends = _feet(z, T, 0.0, D)[1], _feet(z, T, D, D)[0]
     inside = np.vstack([z(alone), *ends])
-    # In double support the feet keep to z = (1 − α) a + α b.
+    # In double support z = (1 − α) a + α b is a term of the cost.
     alpha, (a, b) = smooth_share(off / D)[:, None], _feet(z, 0.0, off, D)
     hold = _HOLD * (z(off) - (1 - alpha) * a - alpha * b)
     # One foot's ZMP times its share, from landing to lift-off.
@@ -280,11 +281,11 @@ def plan(robot: Robot) -> Pattern:
             *robot.bounds, strict=True,
         )
     ):  # fmt: skip
-        # One ankle's torque m g (z − a) times its share, over h as a force.
+        # Ankle torque m g (z − a) times the share, over m h: an acceleration.
         A = np.concatenate([basis(t, 2), torque * own, hold, speed])
         b = np.zeros(len(A))
         b[len(t) : len(t) + len(own)] = torque * share * robot.ankle_m[k]
-        # c⁽ᵒ⁾(T) = ± c⁽ᵒ⁾(0), one step ahead.
+        # Cyclic in all derivatives o: c⁽ᵒ⁾(T) = ± c⁽ᵒ⁾(0), one step ahead.
         cycle = [basis(T, o) - sign * basis(0.0, o) for o in range(_DEGREE)]
         size = np.linalg.norm(cycle, axis=1)
         ahead = shift * np.eye(_DEGREE)[0] / size
@@ -299,8 +300,8 @@ def plan(robot: Robot) -> Pattern:
 def _least_squares(A, b, equal, value, rows, low, high) -> np.ndarray:
     """The p of least |A p − b|² with equal p = value, low <= rows p <= high.
 
-    The equalities are eliminated: derivatives of fourth order beside
-    positions would spoil the conditioning. Smooth while the same rows hold.
+    Equalities are eliminated: with fourth derivatives beside positions they are
+    badly conditioned. p is smooth while the same inequalities are active.
     """
     p0 = np.linalg.lstsq(equal, value)[0]
     free = null_space(equal)
@@ -317,13 +318,13 @@ def _least_squares(A, b, equal, value, rows, low, high) -> np.ndarray:
 
 
 def _held(H, r, rows, at) -> np.ndarray:
-    """Which rows y >= at hold the y of least |H y − r|, (k,) bool.
+    """Which of rows y >= at are active at the y of least |H y − r|, (k,) bool.
 
     Least-distance programming in x = R y − Qᵀ r, H = Q R: the rows with a
     multiplier above 0 (Lawson and Hanson, Solving Least Squares Problems,
     1974, chapter 23).
     """
-    # Without torque some walks cost nothing: R would be singular.
+    # Without a cost of torque some walks cost nothing: R would be singular.
     least = _LEAST * np.linalg.norm(H) * np.eye(H.shape[1])
     Q, R = np.linalg.qr(np.vstack([H, least]))
     W = np.linalg.solve(R.T, rows.T)
@@ -340,37 +341,37 @@ def _held(H, r, rows, at) -> np.ndarray:
 
 
 def _zmp(spline, omega2, at, order=0):
-    """Of the ZMP z = c − c̈/ω² of a CoM's spline, or a derivative."""
+    """ZMP z = c − c̈/ω² of a CoM's spline at times `at`, or a derivative."""
     return spline(at, order) - spline(at, order + 2) / omega2
 
 
-# How far a walk's numbers may go, as factors.
+# Robot's attribute of a walk's number, and its range as factors.
 _REACH = {
     "step_length": ("step_length_m", 0.75, 1.25),
     "step_time": ("step_time_s", 0.75, 1.25),
     "double_support": ("double_support_s", 0.5, 2.0),
     "torque_weight": ("torque_weight", 0.25, 4.0),
 }
-_AIM = {"aim_x": 0.04, "aim_y": 0.02}  # [m], to both sides of the ankle
-_MORE = 1.1  # of the CoM's acceleration and sway than in the case's own walk
-_SLIP = 0.9  # of the friction cone
-_DRAWN = 100  # at most for one walk that keeps the limits
-_STEP = 1e-4  # of differences, of a variable's range
+_AIM = {"aim_x": 0.04, "aim_y": 0.02}  # range to both sides of the ankle [m]
+_MORE = 1.1  # limit on acceleration and sway over the case's own walk
+_SLIP = 0.9  # limit on friction used, over μ
+_DRAWN = 100  # trials at most for one walk that keeps the limits
+_STEP = 1e-4  # step of central differences, over a variable's range
 
 
 @dataclass(frozen=True)
 class Gait:
-    """A walk whose numbers may change, each from 0 to 1 in its range.
+    """A walk with G free numbers, each a variable from 0 to 1 in its range.
 
-    Its samples stay as many, evenly over its foot's contact. Limits, at least 0
-    where kept: the walk is no slower and its foot bears no longer; the CoM's
-    acceleration and its sway stay within 1.1 of the case's own; friction
-    within 0.9 of its cone.
+    The number of samples stays the same, evenly over the contact. Limits, at
+    least 0 where kept: the walk is no slower and its foot loaded no longer; the
+    CoM's acceleration and sway stay within 1.1 of those of the case's own walk,
+    friction within 0.9 of the cone.
 
     Attributes:
         robot: The case's own walk.
-        friction: Of the contact.
-        up: Normal of the ground on the whole, (3,).
+        friction: Coulomb's coefficient μ.
+        up: Normal of the plane that fits the ground, (3,).
     """
 
     robot: Robot
@@ -379,7 +380,7 @@ class Gait:
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
-        """Name -> lowest and highest value."""
+        """Lowest and highest value of the free numbers, by name."""
         own, free = self.numbers(self.robot), self.robot.free
         by_zmp = "zmp" in free
         found = {
@@ -392,13 +393,13 @@ class Gait:
 
     @staticmethod
     def numbers(robot: Robot) -> dict[str, float]:
-        """Those that may be free, by name."""
+        """All numbers that may be free, by name."""
         own = {name: getattr(robot, key) for name, (key, *_) in _REACH.items()}
         return own | dict(zip(_AIM, robot.ankle_m, strict=True))
 
     @property
     def start(self) -> np.ndarray:
-        """The case's own walk, (G,)."""
+        """Variables of the case's own walk, (G,)."""
         own = self.numbers(self.robot)
         return np.array(
             [
@@ -408,9 +409,9 @@ class Gait:
         )
 
     def walk(self, number: int) -> np.ndarray:
-        """The case's own (0), or one of many others within the limits, (G,).
+        """Variables of the case's own walk (0) or of another start, (G,).
 
-        From Halton's sequence over all ranges.
+        The others are the points of Halton's sequence that keep the limits.
         """
         if number == 0:
             return self.start
@@ -425,7 +426,7 @@ class Gait:
             except InputError:  # no such walk
                 continue
             keeps = all((limit >= 0).all() for limit in limits)
-            # With a single number it comes by the case's own.
+            # With a single free number the sequence meets the case's own.
             found += keeps and not np.allclose(x, self.start)
             if found == number:
                 return x
@@ -443,11 +444,11 @@ class Gait:
         return replace(self.robot, ankle_m=ankle, **named)
 
     def load(self, x: np.ndarray) -> Load:
-        """Of the right foot."""
+        """Load of the right foot in the walk of variables x (G,)."""
         return self._walked(self.at(x))[0]
 
     def _walked(self, robot: Robot):
-        """Load; speed; |c̈|; the CoM's place off its path's middle in time."""
+        """Load, speed [m/s], |c̈| [m/s²] and the CoM's sway [m] over time."""
         pattern, t = plan(robot), np.linspace(0, robot.step_time_s, 41)
         return (
             pattern.foot_load(self.robot),
@@ -461,7 +462,7 @@ class Gait:
         return self._walked(self.robot)
 
     def limits(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """Scaled, at least 0 where kept, by name."""
+        """Scaled limits of a walk, at least 0 where kept, by name."""
         return self._planned(x)[1]
 
     def _planned(self, x) -> tuple[Load, dict[str, np.ndarray]]:
@@ -478,10 +479,10 @@ class Gait:
         }
 
     def slopes(self, x: np.ndarray) -> tuple[np.ndarray, dict]:
-        """By the variables: of force and ZMP (G, N, 5), of limits (k, G).
+        """Derivatives by the variables: of force and ZMP (G, N, 5), of limits.
 
-        Central differences of the programme's optimum, which is exact and
-        smooth while the same bounds hold the ZMP.
+        Limits are by name, (k, G). By central differences of the programme's
+        exact optimum, which is smooth while the same bounds hold the ZMP.
         """
         loads, limits = [], []
         for d in _STEP * np.eye(len(x)):
