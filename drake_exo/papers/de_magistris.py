@@ -1,7 +1,7 @@
-"""The paper's five cases, its Table 2 beside ours, and its figures.
+"""The five cases of the paper on soft soles: study, tables and figures.
 
 De Magistris, Miossec, Escande and Kheddar, Design of optimized soft soles for
-humanoid robots.
+humanoid robots. Its Table 2 is compared with our optima.
 """
 
 import base64
@@ -59,7 +59,8 @@ AUTHORS_STEP = "soft_sole_hrp4/trajectory/one_foot_80kg_200Hz.txt"
 # Sole's centre in that file's frame: see tests/cases/hrp4_neoprene.yaml.
 AUTHORS_ORIGIN = (1.274728354176543, -0.056000000000611)
 
-# The paper's Table 2: c_tr and c_rot, initial and optimised.
+# The paper's Table 2: c_tr initial and optimised [N/m], c_rot likewise
+# [N·m/rad].
 TABLE_2 = {
     "1-Ref": (3.88e6, 8.06e5, 1.79e5, 1.74e5),
     "2-Rot": (3.88e6, 4.65e6, 1.79e5, 3.50e5),
@@ -72,20 +73,20 @@ COARSE = (
     Stage((10, 6, 3), 24, 3e-4, 0.2, 16),
     Stage((10, 6, 3), 24, 1e-4, 0.2, 8),
 )
-# Floors of c_rot over the brick's; the first is 1-Ref's in Table 2.
+# Floors of c_rot over the brick's; the first is the paper's 1-Ref.
 FLOORS = (0.9721, 1.1, 1.2, 1.3, 1.4, 1.55, 1.7, 1.85)
-_WHOLE = "1-Ref"  # the case with the whole front
-# Folder and key of the cases without limits, named like those with. Key of
-# cases -> folder, and -> key of their front.
+_WHOLE = "1-Ref"  # the case whose front has all floors
+# Folder and key of the cases without limits, which have the same names.
+# Below: folder and key of the front, by key of the cases.
 UNLIMITED = "unlimited"
 _BELOW = {"cases": "", UNLIMITED: UNLIMITED + "/"}
 _FRONTS = {"cases": "front", UNLIMITED: "unlimited_front"}
 _FRONT, SOLES = "front.json", "soles.png"
-_TOLD = ("/optimize", "/front")  # jobs whose end is worth a line
+_TOLD = ("/optimize", "/front")  # jobs whose end is printed
 
 
 def step_block(root: Path | None) -> LoadBlock:
-    """The authors' step if `root` has it, else our own walking pattern.
+    """The authors' step if it is under `root`, else our walking pattern.
 
     Raises:
         InputError: `root` is no folder.
@@ -98,7 +99,7 @@ def step_block(root: Path | None) -> LoadBlock:
 
 
 def five_cases(load: LoadBlock, coarse: bool) -> list[Settings]:
-    """Table 1 of the paper with the given load.
+    """The cases of the paper's Table 1, with the given load.
 
     Args:
         load: The step.
@@ -129,7 +130,7 @@ def five_cases(load: LoadBlock, coarse: bool) -> list[Settings]:
 
 @dataclass(frozen=True)
 class Study:
-    """The five cases, with our limits or without, as in the paper.
+    """The five cases, with our limits, without them (as the paper), or both.
 
     Attributes:
         source: Where the step comes from, in words.
@@ -150,17 +151,17 @@ class Study:
         limits: str = "all",
         iterations: int | None = None,
     ) -> "Study":
-        """Read step and mesh of the five cases.
+        """Open the five cases with the files they need.
 
         Args:
-            data_root: Folder with the authors' step, if there.
-            mesh_file: Used instead of the brick, in the last stage.
+            data_root: Folder that may hold the authors' step.
+            mesh_file: Mesh that the last stage uses instead of the brick.
             coarse: Two coarse stages, for a first look.
-            limits: Whether stability, tilt and strain are limited.
-            iterations: Largest number in the last stage.
+            limits: Whether stability, tilt and strain are limited, see class.
+            iterations: Largest number of iterations in the last stage.
 
         Raises:
-            InputError: The mesh cannot be read, or the step leaves it.
+            InputError: The mesh cannot be read, or the ZMP leaves the sole.
         """
         load = step_block(data_root)
         source = "authors’ step" if load.one_foot else "own walking pattern"
@@ -183,16 +184,16 @@ class Study:
         with_front: bool = False,
         accepted: Sequence[str] = (),
     ) -> tuple[Verdict, str]:
-        """Optimise all cases; write a folder of each, tables and front.png.
+        """Optimise all cases; write their folders, summary, table, front.png.
 
         Args:
-            out: Folder; also gets summary.json and table.txt.
-            at_once: Processes at a time.
-            with_front: Also the front of c_tr against c_rot.
+            out: Folder to write into.
+            at_once: Number of processes at a time.
+            with_front: Also find the front of c_tr against c_rot.
             accepted: Names of checks that the user accepts.
 
         Returns:
-            The verdict on all designs together; the tables.
+            The verdict on all designs together, and the tables' text.
         """
         began = time.perf_counter()
         summary = {"load": self.source, "limits": self.limits}
@@ -215,7 +216,7 @@ class Study:
         jobs += fronts if with_front else []
 
         def note() -> None:
-            """Write the summary after every case, in case of Ctrl-C."""
+            """Write summary.json: an interrupted study keeps its cases."""
             for key, cases in self.variants.items():
                 folder = out / _BELOW[key]
                 summary[key] = [
@@ -266,16 +267,16 @@ class Study:
 
 
 def optimize_job(folder: Path, case: Case, say, search, accepted=()) -> str:
-    """Write the design that a search has found; returns a line on it."""
+    """Verify and write the design that a search found; its `line`."""
     (found,) = search.values()
     design = finished(case, found, say)
     return line(design.write(folder, say, accepted))
 
 
 def front_job(folder: Path, case: Case, say) -> str:
-    """Write a case's front.json; returns a line on its number of points.
+    """Find a case's front and write front.json; a line with its size.
 
-    1-Ref has the whole front, others the point at the paper's ratio of c_rot.
+    1-Ref has all floors; every other case the paper's own ratio of c_rot.
     """
     tr0, tr, rot0, rot = TABLE_2[case.name]
     floors = FLOORS
@@ -288,7 +289,7 @@ def front_job(folder: Path, case: Case, say) -> str:
 
 
 def study_front(folder: Path, cases: list[Case]) -> dict:
-    """Points of front.json: all those of 1-Ref, and the first of each case."""
+    """Points found so far: all of 1-Ref, and the first of every case."""
     found = {"points": [], "at_paper": []}
     for case in cases:
         file = folder / case.name / _FRONT
@@ -302,7 +303,7 @@ def study_front(folder: Path, cases: list[Case]) -> dict:
 
 
 def line(row: dict) -> str:
-    """One line on a finished case."""
+    """One line on a finished case, from its summary."""
     finer = row.get("finer")
     on_finer = (
         "" if finer is None or finer["design"] is None else
@@ -322,7 +323,7 @@ def line(row: dict) -> str:
 
 
 def _tables(out: Path, summary: dict, mark: str) -> str:
-    """All tables of a study as text; draws front.png."""
+    """Text of all tables; draws front.png."""
     parts, fronts = [], {}
     for key, title in (("cases", ""), (UNLIMITED, "without limits\n")):
         rows = summary.get(key)
@@ -338,7 +339,7 @@ def _tables(out: Path, summary: dict, mark: str) -> str:
 
 
 def table(rows: list[dict]) -> str:
-    """Table 2 as text, a line of the paper and one of ours for each case."""
+    """The paper's Table 2 with all its columns, ours below each row."""
     head = (
         f"{'case':11s} {'':6s} {'c_tr ini':>9s} {'c_tr opt':>9s} "
         f"{'ratio':>6s} {'comp.':>7s} {'c_rot ini':>9s} {'c_rot opt':>9s} "
@@ -375,19 +376,19 @@ def _line(name, who, weight, values, base) -> str:
 
 
 def paper_cost(row: dict) -> float:
-    """Cost c of the paper's optimum, rescaled to our brick: to be beaten."""
+    """The paper's optimal c rescaled to our brick, the c to beat [N/m]."""
     tr0, tr, rot0, rot = TABLE_2[row["name"]]
     c_tr = row["c_tr_initial"] * tr / tr0
     return c_tr - row["weight"] * row["c_rot_initial"] * rot / rot0
 
 
 def certainty_table(rows: list[dict]) -> str:
-    """Table of each c beside the paper's, and how certain it is.
+    """Table of how certain each optimum is.
 
-    Columns: c and the paper's rescaled; IPOPT's error and largest
-    complementarity; change of c by the exact law from a cold start; change
-    of c on a finer mesh and the brick's own; spread of the optima of several
-    starts; largest strain, tilt, stability.
+    Columns: c and the paper's, rescaled; IPOPT's error and complementarity;
+    change of c by the exact law from a cold start; change of c on a finer mesh,
+    and the brick's; spread of c between starts; largest strain and tilt,
+    whether stable.
     """
     head = (
         f"{'case':11s} {'c':>10s} {'paper':>10s} {'error':>8s} {'compl.':>8s} "
@@ -418,7 +419,7 @@ def _number(value, form: str) -> str:
 
 
 def front_table(points: list[dict]) -> str:
-    """Table of a front, one line for each point."""
+    """Table of a front, one line for every point."""
     lines = [
         f"{'case':11s} {'floor':>6s} {'c_tr':>9s} {'ratio':>6s} "
         f"{'paper':>6s} {'c_rot':>9s} {'ratio':>6s} {'error':>8s}"
@@ -437,7 +438,7 @@ def front_table(points: list[dict]) -> str:
 def draw_front(
     out: Path, fronts: dict[str, list[dict]], rows=(), mark: str = ""
 ) -> None:
-    """Draw front.png: fronts by label, designs beside the paper's."""
+    """Draw front.png: fronts by label, and designs beside the paper's."""
     from drake_exo.soles import pictures
 
     paper = {
@@ -449,10 +450,10 @@ def draw_front(
 
 
 def report(out: Path, designs: list[StoredDesign]) -> str:
-    """Write soles.png, stiffness.png, histories.png and report.html.
+    """Write the pictures of designs, finite_strain.* and report.html.
 
     Returns:
-        The finite-strain table, also in finite_strain.*; "" if none has one.
+        The finite-strain table; empty if no design has one.
     """
     # matplotlib takes half a second to load.
     from drake_exo.soles import pictures
@@ -463,7 +464,7 @@ def report(out: Path, designs: list[StoredDesign]) -> str:
             {d.name: d.history() for d in designs}
         ),
     }
-    if len(designs) > 1:  # a single one has its picture already
+    if len(designs) > 1:  # a single design has its own stiffness.png
         figures["stiffness.png"] = _stiffness(designs)
     summaries = {d.name: d.summary() for d in designs}
     found = {
@@ -491,7 +492,7 @@ padding: 0 1em}} img {{max-width: 100%}} pre {{white-space: pre-wrap}}
 
 
 def _write_page(out: Path, designs, figures, strains: str) -> None:
-    """Write report.html: tables and pictures in one file, without network."""
+    """Write report.html: every table and picture in one file."""
 
     def picture(path: Path) -> str:
         data = base64.b64encode(path.read_bytes()).decode()
@@ -506,7 +507,7 @@ def _write_page(out: Path, designs, figures, strains: str) -> None:
     body = []
     if (out / "table.txt").is_file():
         body.append(preformatted((out / "table.txt").read_text("utf-8")))
-    # Only what this run has drawn or a study has left beside it.
+    # Pictures of this run, and those that a study has left there.
     body += [picture(out / f) for f in figures if (out / f).is_file()]
     if strains:
         body += ["<h2>Heel strike in finite strain</h2>", preformatted(strains)]

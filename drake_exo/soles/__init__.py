@@ -1,4 +1,4 @@
-"""Compliant soles: simulate one through a step, optimise its shape.
+"""Compliant soles: simulate one through a step, or optimise its shape.
 
 >>> import drake_exo as dx
 >>> case = dx.soles.Case.from_text(dx.soles.EXAMPLE)

@@ -1,6 +1,6 @@
-"""The deforming sole as one HTML file: pressure in colour, force, ZMP.
+"""Animation of deforming soles as one HTML file: pressure, force, ZMP.
 
-Of simulations at hand, or of the folders that the commands wrote.
+It shows simulations in memory, or those in folders that the commands wrote.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ with warnings.catch_warnings():  # its server uses a deprecated part of zmq
 _MAX_FRAMES = 110
 _MAP = "viridis"
 _METRES_PER_NEWTON = 2e-4
-_GRID_M, _FINE_M = 0.05, 0.01  # between lines; where ground is not flat
+_GRID_M, _FINE_M = 0.05, 0.01  # spacing of lines; of facets of uneven ground
 _AGAIN = "run the command that wrote it again"
 _PAGE = """<!DOCTYPE html>
 <html>
@@ -55,11 +55,11 @@ function show(text) {{
 
 @dataclass(frozen=True)
 class SoleMotion:
-    """A sole through one contact phase, as it is drawn.
+    """A sole's motion over N samples, to be drawn.
 
-    Times (N,) [s], place (N, 3) [m] and orientation (N, 3, 3) of its frame in
-    the world, places [m] and forces [N] of its contact nodes there, (N, m, 3);
-    `mark` is that of a result that does not hold, a `group` is listed together.
+    Times [s] (N,), origin [m] (N, 3) and rotation (N, 3, 3) of its frame in the
+    world, places [m] and forces [N] of its contact nodes there, (N, m, 3);
+    `mark` is a verdict's, if it does not hold; a `group` is listed together.
     """
 
     title: str
@@ -83,9 +83,9 @@ class SoleMotion:
         mark: str = "",
         group: str = "",
     ) -> SoleMotion | None:
-        """Of a `StepHistory`; None where fewer than two samples converged.
+        """The motion in a `StepHistory`; None if under two samples converged.
 
-        Of more than a page takes some, first and last among them.
+        At most `_MAX_FRAMES` samples are kept, the first and last among them.
         """
         good = np.flatnonzero(np.isfinite(history.K_c).all(axis=(1, 2)))
         if len(good) < 2:
@@ -100,7 +100,7 @@ class SoleMotion:
     def read(
         path: Path, title: str, group: str = "", mark: str = ""
     ) -> SoleMotion | None:
-        """The same of what `simulation.write_history` wrote."""
+        """The motion in a file of `simulation.write_history`, as `of`."""
         return SoleMotion.of(title, *read_history(path, _AGAIN), mark, group)
 
     @property
@@ -118,7 +118,7 @@ class SoleMotion:
         rest = self.mesh.nodes[self.surface]
         turned = np.einsum("qij,nj->qni", self.rotation, rest)
         places = self.origin[:, None, :] + turned
-        # Glued nodes move with the foot; contact nodes are already known.
+        # Other nodes are drawn as moving with the foot.
         places[:, self._touching] = self.places
         return places
 
@@ -137,12 +137,12 @@ class SoleMotion:
 def write_animation(
     path: Path, motions: Sequence[SoleMotion], title: str
 ) -> None:
-    """Write a page that plays motions of soles, the first one at first.
+    """Write a page that plays motions of soles, the first one to begin with.
 
-    An HTML file of 1 MB and at most 1.5 MB for each motion.
+    It is an HTML file of 1 MB and at most 1.5 MB for each motion.
     """
     pressures = [motion.pressure() for motion in motions]
-    # The corners at heel strike would leave the rest of a step dark.
+    # Not the maximum: pressure peaks at heel strike would leave the rest dark.
     top = max(float(np.quantile(p[p > 0], 0.99)) for p in pressures)
     box = _Box.of(motions)
     scene = list(_stage(box, motions[0].ground))
@@ -164,7 +164,7 @@ def write_animation(
 
 @dataclass(frozen=True)
 class _Box:
-    """Around all places of all motions [m]."""
+    """Bounding box of all motions in the world [m], corners (3,)."""
 
     low: np.ndarray
     high: np.ndarray
@@ -181,7 +181,7 @@ class _Box:
     def mirror(self) -> np.ndarray:
         """Matrix that shows the underside in front of the sole, (4, 4)."""
         matrix = np.diag([1.0, 1.0, -1.0, 1.0])
-        # A foot that rolls far lifts it: then farther in front.
+        # Farther in front if a foot that rolls far lifts the sole.
         apart = max(0.08, self.high[2])
         matrix[1, 3] = -(self.high[1] - self.low[1]) - apart
         matrix[2, 3] = self.high[2]
@@ -190,7 +190,7 @@ class _Box:
 
 def _page(title: str, top: float, box: _Box) -> Page:
     middle = 0.5 * (box.low + box.high)
-    # The sole and its underside before it.
+    # Between the sole and its mirrored underside in front.
     target = middle + np.array([0.0, 0.42 * box.mirror[1, 3], 0.03])
     colours = colormaps[_MAP](np.linspace(0.0, 1.0, 256))[:, :3]
     stops = ", ".join(
@@ -249,7 +249,7 @@ def _clip(number: int, motion: SoleMotion, values, box: _Box) -> Clip:
 
 
 def _undeformed(number: int, motion: SoleMotion):
-    """The shape at rest, translucent, in the sole's frame."""
+    """Command that adds the undeformed shape, translucent, in its frame."""
     nodes = motion.mesh.nodes[motion.surface]
     look = geometry.MeshLambertMaterial(
         color=0x3A6EA5,
@@ -257,7 +257,7 @@ def _undeformed(number: int, motion: SoleMotion):
         transparent=True,
         side=2,
         depthWrite=False,
-        # Behind what it coincides with, without flicker.
+        # Drawn behind faces it coincides with, without flicker.
         polygonOffset=True,
         polygonOffsetFactor=4,
         polygonOffsetUnits=40,
@@ -267,16 +267,16 @@ def _undeformed(number: int, motion: SoleMotion):
 
 
 def _mesh(path: str, shape, look, kind=geometry.Mesh):
-    """Command that sets an object, the same in equal runs."""
+    """Command that adds an object, the same in equal runs."""
     thing = kind(shape, look)
-    # Random identifiers would make equal runs differ.
+    # meshcat's random identifiers would make equal runs differ.
     shape.uuid, look.uuid = f"{path}-shape", f"{path}-look"
     thing.uuid = f"{path}-thing"
     return commands.SetObject(thing, path=ScenePath(tuple(path.split("/"))))
 
 
 def _stage(box: _Box, ground: Ground) -> Iterator:
-    """Ground with a grid, ZMP, background."""
+    """Commands that add the ground with its grid, the ZMP, the background."""
     low = np.floor((box.low[:2] - np.array([0.05, 0.08])) / _GRID_M) * _GRID_M
     high = np.ceil((box.high[:2] + np.array([0.05, 0.05])) / _GRID_M) * _GRID_M
     low[1] += np.floor(box.mirror[1, 3] / _GRID_M) * _GRID_M
@@ -325,14 +325,15 @@ def _stage(box: _Box, ground: Ground) -> Iterator:
 
 
 def replay_soles(folder: Path, path: Path) -> None:
-    """Write the page of all soles under a folder.
+    """Write a page that plays all soles found under a folder.
 
     Args:
-        folder: that `sole simulate`, `sole optimize` or `sole study` wrote.
-        path: of the page.
+        folder: Folder that `sole simulate`, `optimize` or `study` wrote.
+        path: Path of the page.
 
     Raises:
-        InputError: there is no sole that converged, or a file is damaged.
+        InputError: No sole has two samples that converged, or a file is
+            damaged.
     """
     motions = []
     for file in sorted(Path(folder).rglob(HISTORY)):
@@ -357,7 +358,7 @@ def replay_soles(folder: Path, path: Path) -> None:
 
 
 def _told(folder: Path) -> tuple[str, str]:
-    """Name of the case in a folder, and the mark of its result."""
+    """Name of the case in a folder, and its verdict's mark."""
     summary = read_json(folder / "summary.json", _AGAIN)
     if not isinstance(summary, dict):
         return folder.name, ""

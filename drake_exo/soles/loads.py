@@ -187,7 +187,7 @@ class Load:
         )
 
     def every(self, count: int) -> "Load":
-        """The load at `count` of its samples (if it has them), evenly spread."""
+        """The load at `count` (or fewer) of its samples, evenly spread."""
         index = np.unique(
             np.round(np.linspace(0, len(self.times) - 1, count)).astype(int)
         )

@@ -1,10 +1,10 @@
-"""Pictures of soles and of their steps; every function returns a figure.
+"""Figures of soles and of their steps; each `..._figure` function returns one.
 
-Plots of a step: load (the paper's Figs. 6, 7), stiffness (Fig. 13), pose,
-pressure; of an optimisation: its iterations, the front of both costs; shaded
-views of soles (Figs. 8-12), drawn as polygons in the plane. The views are
-orthographic: faces that look away are dropped, the others painted from far to
-near. Every view has the same scale, in millimetres.
+Of a step: load (the paper's Figs. 6, 7), stiffness (Fig. 13), pose, pressure.
+Of an optimisation: its iterations and the front of both costs. Of soles: a
+drawing, and shaded orthographic views (Figs. 8-12), drawn as polygons: faces
+that look away are dropped, the others painted from far to near, all at one
+scale, in millimetres.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,7 +39,7 @@ _LIGHT = np.array([-0.4, -0.2, 0.894])  # right, up, towards the viewer
 
 @dataclass(frozen=True)
 class View:
-    """Where from a sole is seen: toward the viewer, and up in the picture."""
+    """Direction from a sole to the viewer, and that up in the picture."""
 
     name: str
     toward: tuple[float, float, float]
@@ -62,7 +62,7 @@ VIEWS = (
 
 
 def draw(axis, corners: np.ndarray, colours: np.ndarray, view: View) -> None:
-    """Paint outward triangles (f, 3, 3) [mm] of colours (f, 3), RGB."""
+    """Paint shaded outward triangles (f, 3, 3) [mm] of RGB colours (f, 3)."""
     seen = corners @ view.axes().T
     normal = normals_of(seen)
     facing = normal[:, 2] > 0
@@ -83,15 +83,15 @@ def draw(axis, corners: np.ndarray, colours: np.ndarray, view: View) -> None:
 
 
 def outline(axis, mesh: TetMesh, view: View) -> None:
-    """Dashed border of what is seen of a sole."""
+    """Draw the silhouette of a sole, dashed."""
     seen = 1e3 * mesh.nodes @ view.axes().T
     faces = mesh.boundary_faces
-    # Beyond rounding: else edge-on faces would count now and then.
+    # Above rounding: else some edge-on faces would count.
     facing = normals_of(seen[faces])[:, 2] > 1e-6
     lines = [seen[np.append(r, r[0]), :2] for r in rings(faces[facing])]
     spans = [np.ptp(line, axis=0).prod() for line in lines]
     for line, span in zip(lines, spans, strict=True):
-        if span > 0.05 * max(spans):  # not every dent
+        if span > 0.05 * max(spans):  # borders of small dents are left out
             axis.plot(*line.T, color="0.25", lw=0.8, ls=(0, (4, 3)))
 
 
@@ -104,19 +104,19 @@ def extent(nodes: np.ndarray, view: View) -> np.ndarray:
 _COLOURS = matplotlib.colormaps["coolwarm"]
 _GAP, _BETWEEN = 14.0, 24.0  # mm between views, and between soles
 _HEAD, _FOOT = 0.4, 0.75  # inches above and below the soles
-_LEAST_ERROR = 1e-8  # errors below are drawn there
-_INCH = 1.0 / 62.0  # inches a millimetre of sole
+_LEAST_ERROR = 1e-8  # smaller errors are drawn as this
+_INCH = 1.0 / 62.0  # inches for a millimetre of sole
 _AXES = {"x": COLOURS[1], "y": COLOURS[2], "z": COLOURS[0]}
 
 
 def style():
-    """The style of all figures: a decorator, or a context to draw in."""
+    """Style of all figures, as a decorator or context."""
     layout = {"figure.constrained_layout.use": True}
     return matplotlib.rc_context(STYLE | layout)
 
 
 def panels(rows: int, columns: int, size: tuple[float, float], **shared):
-    """A figure of that many inches and its axes."""
+    """A figure of `size` [inch] with rows × columns of axes; both."""
     figure = Figure(figsize=size)
     return figure, figure.subplots(rows, columns, **shared)
 
@@ -127,8 +127,8 @@ def load_figure(
 ) -> Figure:
     """ZMP on the sole's outline, and force over time (Figs. 6 and 7).
 
-    With the contours of a ground that is not flat. The outline goes round
-    nodes of the sole as it is set down [m], (m, 2).
+    Contours show a ground that is not flat. `outline` has the places of the
+    sole's nodes as it is set down [m], (m, 2).
     """
     figure, (left, right) = panels(1, 2, (9.0, 3.8))
     around = ConvexHull(outline).vertices
@@ -138,7 +138,7 @@ def load_figure(
     if not ground.is_flat:
         low, high = outline.min(axis=0), outline.max(axis=0)
         low, high = 1.05 * low - 0.05 * high, 1.05 * high - 0.05 * low
-        # Labels are placed by what is seen.
+        # Set first, as the contours' labels are placed within the limits.
         left.set(
             xlim=(1e3 * low[0], 1e3 * high[0]),
             ylim=(1e3 * low[1], 1e3 * high[1]),
@@ -157,7 +157,7 @@ def load_figure(
     figure.colorbar(points, ax=left, label="time [s]", shrink=0.8)
     struck = 1e3 * load.zmp[list(load.begins)]
     left.plot(*struck.T, "o", mfc="none", mec="k", ms=9)
-    # Of a given pose another one comes out.
+    # With a prescribed pose the simulated ZMP differs.
     which = "Recorded ZMP" if load.is_measured.any() else "ZMP"
     left.set(
         xlabel="x, forward [mm]",
@@ -174,9 +174,9 @@ def load_figure(
 
 
 def _over_time(axis, begins: Sequence[int], t, values, **look) -> None:
-    """Draw values (N,) of loads, a gap in front of each but the first.
+    """Plot values (N,) over time, with a gap between contact phases.
 
-    A load of one sample is a point.
+    A phase of one sample is a point.
     """
     if 1 in np.diff([*begins, len(t)]):
         look["marker"] = "."
@@ -187,12 +187,12 @@ def _over_time(axis, begins: Sequence[int], t, values, **look) -> None:
 
 
 def _as_written(name: str) -> str:
-    """A name without formulas."""
+    """A name with $ escaped, so that no formula is made of it."""
     return name.replace("$", r"\$")
 
 
 def _columns(count: int, height: float, **shared):
-    """Two rows of axes, a column for each of some soles."""
+    """A figure with two rows of axes, a column for each sole."""
     width = max(1.2 + 2.7 * count, 6.0)
     return panels(2, count, (width, height), squeeze=False, **shared)
 
@@ -204,10 +204,10 @@ def stiffness_figure(
     """σ_max(K_tr) and σ_min(K_rot) over the step, a column a sole (Fig. 13).
 
     Args:
-        soles: Name -> label -> (times [s], σ_max [N/m], σ_min [N·m/rad]), each
-            (N,); what is called "initial" stays in the background.
-        strikes: First time of heel strike, and first one after it, of every
-            load.
+        soles: By name and label (times [s], σ_max [N/m], σ_min [N·m/rad]),
+            each (N,); the label "initial" is drawn in the background.
+        strikes: Index of heel strike's first sample, and of the next after it,
+            of every load.
     """
     begins = [first for first, _ in strikes]
     figure, axes = _columns(len(soles), 5.4, sharex=True, sharey="row")
@@ -244,7 +244,10 @@ def stiffness_figure(
 
 @style()
 def pose_figure(columns: dict[str, np.ndarray]) -> Figure:
-    """Pose, stability and nodes in contact over time, where it converged."""
+    """Pose, stability and nodes in contact over time, from `Step.table`.
+
+    Samples that did not converge are left out.
+    """
     begins = [0]
     if "load" in columns:
         begins += list(np.flatnonzero(np.diff(columns["load"])) + 1)
@@ -290,9 +293,8 @@ def pressure_figure(
 ) -> Figure | None:
     """Contact pressure under the sole at up to eight samples of the step.
 
-    At times (N,) [s], of ZMPs in the sole's frame [m], (N, 2), and pressures at
-    the contact nodes [Pa], (N, m), at samples that converged (N,); None if
-    there is none.
+    From times [s] (N,), ZMPs in the sole's frame [m] (N, 2), pressures at the
+    contact nodes [Pa] (N, m) and which samples converged (N,); None if none.
     """
     picked = np.flatnonzero(converged)
     if len(picked) == 0:
@@ -325,20 +327,20 @@ def pressure_figure(
 
 
 def _pressed(axis, mesh: TetMesh, kpa: np.ndarray, largest=None):
-    """Pressure at the contact nodes, (m,), on the underside in mm."""
+    """Draw pressures at the contact nodes [kPa], (m,), on the underside."""
     faces, place = _underside(mesh)
     return axis.tripcolor(
         Triangulation(*(1e3 * place.T), faces),
         kpa,
         shading="gouraud",
         cmap="inferno",
-        # The sole in mid-stance bears a tenth of what it bears at heel strike.
+        # Root scale: mid-stance has a tenth of heel strike's pressure.
         norm=PowerNorm(0.5, 0.0, largest),
     )
 
 
 def _underside(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles that look down, as contact-node indices, and their places.
+    """Faces that look down (f, 3), indices of contact nodes; these's x, y.
 
     The lowest come last, to be drawn over the ceilings of hollows.
     """
@@ -354,10 +356,10 @@ def _underside(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
 
 @style()
 def histories_figure(histories: Mapping[str, Mapping[str, np.ndarray]]):
-    """Cost, violation and optimality error over iterations, sole by sole.
+    """Cost, violation and optimality error over iterations, a column a sole.
 
     Args:
-        histories: Name -> columns of history.csv, each (N,).
+        histories: By sole, the columns of history.csv by name, each (N,).
     """
     figure, axes = _columns(len(histories), 5.0, sharex="col")
     entries = ((), ())
@@ -393,12 +395,12 @@ def histories_figure(histories: Mapping[str, Mapping[str, np.ndarray]]):
 def pareto_figure(
     fronts: dict[str, list[dict]], rows=(), paper: dict | None = None
 ) -> Figure:
-    """c_tr against c_rot, each over its brick's, beside the paper's.
+    """c_tr against c_rot, over the brick's, beside the paper's.
 
     Args:
-        fronts: Label -> points with ratio_tr and ratio_rot.
-        rows: Summaries with name, ratio_tr and ratio_rot.
-        paper: Name -> (ratio of c_tr, ratio of c_rot).
+        fronts: Points with ratio_tr and ratio_rot, by label.
+        rows: Summaries of designs with name, ratio_tr and ratio_rot.
+        paper: The paper's (ratio of c_tr, ratio of c_rot) by design's name.
     """
     figure, axis = panels(1, 1, (6.0, 4.2))
     for k, row in enumerate(rows):
@@ -424,7 +426,7 @@ def pareto_figure(
     )
     axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.xaxis.set_major_formatter("{x:g}")
-    axis.minorticks_off()  # of less than a decade Matplotlib labels some
+    axis.minorticks_off()  # Matplotlib labels some if less than a decade
     axis.legend()
     return figure
 
@@ -432,21 +434,20 @@ def pareto_figure(
 def radial_change(
     mesh: TetMesh, spline: SphericalSpline, p: np.ndarray
 ) -> np.ndarray:
-    """Radial change of a design's nodes [%], zero at the origin, (n,)."""
+    """Radial change of a design's nodes [%], 0 at the origin, (n,)."""
     there = np.linalg.norm(mesh.nodes, axis=1) > 1e-9
     return np.where(there, 100 * (spline.stretch(mesh.nodes, p) - 1), 0.0)
 
 
 @style()
 def soles_figure(soles: Sequence[tuple]) -> Figure:
-    """Every sole from below, the left, the back and in perspective.
+    """Every sole from below, the left, the back and obliquely, at one scale.
 
-    One scale for all; colour is the radial change, the initial outline is
-    dashed.
+    Colour is the radial change; the initial shape's outline is dashed.
 
     Args:
-        soles: Name, second line of the title, mesh before optimisation and
-            after, radial change of its every node [%] of each.
+        soles: Of each the name, the caption beside it, the mesh before the
+            optimisation and after, and the nodes' radial change [%], (n,).
     """
     every = np.concatenate([m.nodes for s in soles for m in s[2:4]])
     boxes = [extent(every, view) for view in VIEWS]
@@ -493,12 +494,12 @@ def soles_figure(soles: Sequence[tuple]) -> Figure:
 
 
 def _coloured(mesh: TetMesh, change: np.ndarray, norm) -> np.ndarray:
-    """Colours of its faces by their mean change, (f, 3)."""
+    """RGB colours of boundary faces by their mean change, (f, 3)."""
     return _COLOURS(norm(change[mesh.boundary_faces].mean(axis=1)))[:, :3]
 
 
 def _ends(axis, initial: TetMesh, mesh: TetMesh, view: View) -> None:
-    """Write heel and toe, or left and right, under either shape."""
+    """Write heel and toe, or left and right, below both shapes."""
     right = view.axes()[0]
     if max(np.abs(right)) < 0.9:
         return
@@ -514,7 +515,7 @@ def _ends(axis, initial: TetMesh, mesh: TetMesh, view: View) -> None:
 
 
 def _legend(figure, norm, wide: float, total: float) -> None:
-    """Colour bar, scale bar and what is dashed."""
+    """Draw the colour bar, a scale bar and the key of the dashed outline."""
     bar = figure.add_axes([0.06, 0.45 / total, 0.3, 0.11 / total])
     figure.colorbar(
         ScalarMappable(norm, _COLOURS),
@@ -535,24 +536,24 @@ def _legend(figure, norm, wide: float, total: float) -> None:
 _UNDERCUT = (0.86, 0.15, 0.15)
 _RUBBER = (0.62, 0.66, 0.72)
 _MARGIN = 18.0  # mm around a view of the drawing
-_CUTS = (0.15, 0.5, 0.85)  # of the length: where it is cut across
+_CUTS = (0.15, 0.5, 0.85)  # parts of the length at which it is cut across
 
 
 @style()
 def drawing_figure(mesh: TetMesh, name: str, peak: np.ndarray) -> Figure:
-    """A sole as a drawing: views and sections with dimensions in mm.
+    """Drawing of a sole: views and sections with dimensions in mm.
 
-    With the largest pressure at its contact nodes over the step [Pa], (m,).
+    `peak` is the largest pressure of the step at the contact nodes [Pa], (m,).
     """
     nodes = 1e3 * mesh.nodes
     low, high = nodes.min(axis=0), nodes.max(axis=0)
     length, width, height = high - low
     at = low[0] + length * np.array(_CUTS)
-    apart = height + 28.0  # of the cuts across
+    apart = height + 28.0  # distance of the drawn cuts
     tall = np.array(
         [width + 3 * _MARGIN, height + 4 * _MARGIN, max(width, 3 * apart) + 50]
     )
-    scale = 5.6 / (length + 2 * _MARGIN)  # inches a millimetre
+    scale = 5.6 / (length + 2 * _MARGIN)  # inches for a millimetre
     figure = Figure(figsize=(12.0, scale * tall.sum() + 1.2))
     axes = figure.subplots(3, 2, height_ratios=tall)
     for axis in axes.flat:
@@ -601,7 +602,7 @@ def drawing_figure(mesh: TetMesh, name: str, peak: np.ndarray) -> Figure:
 
 
 def _shaded(axis, mesh: TetMesh, view: View, title: str) -> None:
-    """The sole in a view, what looks upwards of its bare surface in red."""
+    """Draw the sole in a view, bare faces that look upwards in red."""
     faces = np.concatenate([mesh.top_faces, mesh.contact_faces])
     normal, size = mesh.areas(faces)
     up = normal[:, 2] > UPWARDS * size
@@ -614,7 +615,7 @@ def _shaded(axis, mesh: TetMesh, view: View, title: str) -> None:
 
 
 def _dimension(axis, start, span, text: str) -> None:
-    """An arrow with both ends, and its length in mm."""
+    """Draw a double arrow from start over span, and a text at its middle."""
     start, span = np.asarray(start), np.asarray(span)
     look = {"arrowstyle": "<->", "lw": 0.8, "shrinkA": 0, "shrinkB": 0}
     axis.annotate("", start + span, start, arrowprops=look)
@@ -626,10 +627,10 @@ def _dimension(axis, start, span, text: str) -> None:
 
 
 def _section(axis, mesh: TetMesh, normal: int, at: float, flat):
-    """Fill where a plane cuts the sole; corners of its box, None if nowhere.
+    """Draw the section of a sole by a plane across axis `normal` (0: x, 1: y).
 
-    Across axis `normal` (0: x, 1: y) at a place [mm]; `flat` takes points
-    (k, 3) [mm] to the picture.
+    The plane is at `at` [mm]; `flat` maps points (k, 3) [mm] to the picture.
+    Returns the corners of the section's box, (2, 2), or None if it is empty.
     """
     x = 1e3 * mesh.nodes[mesh.tets]
     x = x[np.abs(np.sign(x[:, :, normal] - at).sum(axis=1)) < 4]
@@ -655,12 +656,12 @@ def _section(axis, mesh: TetMesh, normal: int, at: float, flat):
 
 
 def _thickness(axis, mesh: TetMesh, x, y, place, lift=0.0) -> None:
-    """Dimension of the sole's thickness above a point (x, y) [mm].
+    """Draw the dimension of the sole's thickness at a point (x, y) [mm].
 
-    At `place` in the picture, where z = 0 is at `lift`.
+    It is drawn at `place` in the picture, where z = 0 is at `lift`.
     """
     corners = 1e3 * mesh.nodes[mesh.boundary_faces]
-    # Off the edges of regular meshes, and off their diagonals.
+    # Moved off the edges and diagonals of regular meshes.
     point = np.array([[x, y]]) + 1e-4 * np.array([np.pi, np.e])
     for _, (z,) in crossings(corners, point):
         low, high = z.min(), z.max()

@@ -1,7 +1,7 @@
-"""What a case file says, and what its files hold.
+"""Settings of a case file, and a `Setup` with the files that it names read.
 
-A dataclass for each block of keys; docs/soles.md explains them all. Paths are
-relative to --data-root where given, else to the case file's folder.
+Each block of keys is a dataclass; docs/soles.md explains all keys. Paths are
+relative to --data-root if given, else to the case file's folder.
 """
 
 from dataclasses import dataclass, replace
@@ -49,7 +49,7 @@ from drake_exo.soles.walking_pattern import Gait
 
 @dataclass(frozen=True)
 class Brick:
-    """A brick meshed by code."""
+    """A brick and its number of cells, see `mesh.brick`."""
 
     size_m: Vector3 = quantity("m", minimum=1e-3)
     divisions: tuple[int, int, int] = quantity(None, minimum=1)
@@ -118,7 +118,7 @@ class MaterialBlock:
 
 @dataclass(frozen=True)
 class ContactBlock:
-    """Contact and its solver."""
+    """Friction of the contact, and the method that solves it."""
 
     friction: float = positive("", 0.8)  # else nothing holds the foot
     method: Literal["newton", "gauss_seidel"] = "newton"
@@ -155,11 +155,11 @@ class Stage:
     """One run of the optimiser.
 
     Attributes:
-        divisions: of a brick; None for the mesh of the case.
-        samples: of the load, thinned; None for all.
-        layer_m, kappa: of the smoothed law.
-        iterations: at most.
-        roughness: factor on that of the case.
+        divisions: Cells of the brick along x, y, z; None: the case's own mesh.
+        samples: Number of the load's samples that are simulated; None: all.
+        layer_m, kappa: Parameters of the smoothed contact law.
+        iterations: Largest number of iterations.
+        roughness: Factor on the case's roughness.
     """
 
     divisions: tuple[int, int, int] | None = quantity(None, None, minimum=1)
@@ -171,16 +171,16 @@ class Stage:
 
 
 _FINE = (18, 12, 4)
-# Strains and poses depend on the mesh: the fine one from the start. Smooth
-# shapes first; then twice, since each stage begins with what the largest strain
-# truly is, and since the second tells which start is the best; the last by more
-# samples: an optimum fits itself to few.
+# The fine mesh from the start, since strains and poses depend on the mesh.
+# Smooth shapes first, by a large roughness. Then two stages: each begins with
+# the true largest strain, and the second tells which start is best. The last
+# has more samples, since an optimum fits itself to few.
 STAGES = (
     Stage(_FINE, 24, 3e-4, 0.2, 24, roughness=10.0),
     Stage(_FINE, 24, 2e-4, 0.2, 28),
     Stage(_FINE, 36, 2e-4, 0.2, 100),
 )
-# Of a mesh that is no brick.
+# Default stages for a mesh that is no brick.
 OWN_STAGES = tuple(replace(stage, divisions=None) for stage in STAGES)
 
 
@@ -200,10 +200,10 @@ _MOST = 200_000  # elements of a finer mesh: some 4 GB
 
 
 def finer_mesh(own: TetMesh, stage: Stage) -> TetMesh | None:
-    """A finer one than `stage_mesh`; None where it had too many elements.
+    """A finer mesh than `stage_mesh`; None if it had too many elements.
 
-    Of a brick one of at least twice the tets, of any other mesh one of eight
-    times as many, see `halved`.
+    A brick gets at least twice the tets, any other mesh eight times as many,
+    see `halved`.
     """
     if stage.divisions is not None:
         return brick_like(own, _at_least_twice(stage.divisions))
@@ -211,7 +211,7 @@ def finer_mesh(own: TetMesh, stage: Stage) -> TetMesh | None:
 
 
 def _at_least_twice(divisions) -> tuple[int, int, int]:
-    """Divisions with at least twice, and little more, cells."""
+    """Divisions that give at least twice, and little more, cells."""
     finer = np.ceil(2 ** (1 / 3) * np.array(divisions)).astype(int)
     for one in np.eye(3, dtype=int):
         if np.prod(finer - one) >= 2 * np.prod(divisions):
@@ -220,7 +220,7 @@ def _at_least_twice(divisions) -> tuple[int, int, int]:
 
 
 def brick_like(own: TetMesh, divisions: tuple[int, int, int]) -> TetMesh:
-    """A brick where another block lies."""
+    """A brick that fills the bounding box of another block."""
     low, high = own.nodes.min(axis=0), own.nodes.max(axis=0)
     base = brick(tuple(high - low), divisions)
     return base.with_nodes(
@@ -393,9 +393,9 @@ class Setup:
     Attributes:
         settings: What the case file says.
         load: Force and ZMP of every sample.
-        mesh: Of the sole; the initial shape of an optimisation.
+        mesh: Mesh of the sole; the initial shape of an optimisation.
         start: How the sole is held just before the first contact.
-        ground: What it stands on.
+        ground: Ground that it stands on.
     """
 
     settings: Settings
@@ -497,7 +497,7 @@ class Setup:
 
     @property
     def ground_told(self) -> dict:
-        """What summary.json says of a ground that is not flat."""
+        """Entries of summary.json on a ground that is not flat."""
         if self.ground.is_flat:
             return {}
         return {"ground": self.ground.summary(self.level)}
@@ -524,7 +524,7 @@ class Setup:
         kept, shape = set(), block.shape
         points = np.concatenate([m.nodes[m.bare] for m in meshes])
         if block.fixed_top:
-            # Below the origin's plane it feels more than its rows.
+            # Below z = 0 more coefficients than the held rows move the top.
             top = np.concatenate([m.nodes[m.fixed] for m in meshes])
             low = top[top[:, 2] < -1e-9]
             kept.update(free.around(low) if len(low) else ())
@@ -547,7 +547,7 @@ class Setup:
 
     @property
     def key(self) -> str:
-        """Digits that tell apart what a search is of, however long it goes."""
+        """Checksum of what a search is of, but for iterations and names."""
         block = self.settings.optimize
         stages = tuple(replace(s, iterations=0) for s in block.stages)
         block = replace(block, stages=stages)
@@ -570,7 +570,7 @@ class Setup:
         )
 
     def with_iterations(self, iterations: int | None) -> "Setup":
-        """The same with a largest number of iterations in the last stage.
+        """The same with this limit on the last stage's iterations.
 
         None leaves the case's.
 
@@ -582,9 +582,9 @@ class Setup:
         return self._with_last_stage(iterations=iterations)
 
     def on_own_mesh(self) -> "Setup":
-        """The same, with the last stage on its own mesh.
+        """The same with the last stage on its own mesh.
 
-        All stages are where that is no brick.
+        If that is no brick, all stages are.
         """
         if self.mesh.is_block:
             return self._with_last_stage(divisions=None)
