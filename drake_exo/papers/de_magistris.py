@@ -59,8 +59,7 @@ AUTHORS_STEP = "soft_sole_hrp4/trajectory/one_foot_80kg_200Hz.txt"
 # Sole's centre in that file's frame: see tests/cases/hrp4_neoprene.yaml.
 AUTHORS_ORIGIN = (1.274728354176543, -0.056000000000611)
 
-# The paper's Table 2: c_tr initial and optimised [N/m], c_rot likewise
-# [N·m/rad].
+# Table 2: initial and optimised c_tr [N/m], then c_rot [N·m/rad].
 TABLE_2 = {
     "1-Ref": (3.88e6, 8.06e5, 1.79e5, 1.74e5),
     "2-Rot": (3.88e6, 4.65e6, 1.79e5, 3.50e5),

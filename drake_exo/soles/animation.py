@@ -59,7 +59,7 @@ class SoleMotion:
 
     Times [s] (N,), origin [m] (N, 3) and rotation (N, 3, 3) of its frame in the
     world, places [m] and forces [N] of its contact nodes there, (N, m, 3);
-    `mark` is a verdict's, if it does not hold; a `group` is listed together.
+    `mark` is `Verdict.mark`; motions of one `group` are listed together.
     """
 
     title: str

@@ -103,7 +103,7 @@ class SparseCholesky:
         return self._substituted(x)
 
     def carry(self, b: np.ndarray) -> np.ndarray:
-        """K⁻¹ (3n, c) times what is b (3m, c) at the last dofs, else zero."""
+        """K⁻¹ x, (3n, c), for x that is b (3m, c) at the last dofs, else 0."""
         x = np.zeros((self._count, b.shape[1]))
         x[self._root] = self.last_inverse @ b
         return self._substituted(x)
@@ -547,9 +547,9 @@ def _forces(sole: Sole, left: np.ndarray, right: np.ndarray):
 
 
 def pairs(v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fields w (d, 2k), factors λ (2k,): Σ λ wᵀ K w = Σ vᵀ K u for any K.
+    """Fields w (d, 2k) and factors λ (2k,) with Σ λ wᵀ K w = Σ vᵀ K u.
 
-    K is symmetric; the columns of v and u, (d, k) each, are fields.
+    K is any symmetric matrix; the columns of v and u, (d, k), are fields.
     """
     sizes = [np.linalg.norm(x, axis=0) for x in (u, v)]
     there = (sizes[0] > 0) & (sizes[1] > 0)

@@ -48,7 +48,7 @@ class OneFoot:
     skip_last: int = quantity(None, 11, minimum=0)
 
     def load(self, root: Path) -> Load:
-        """Read it."""
+        """Read the load; `file` is relative to `root`."""
         path = root / self.file
         head, *lines = text_lines(path) or [""]
         if len(head.split()) >= 8 and not head.strip("0123456789.+-eE \t"):
@@ -71,7 +71,7 @@ class Csv:
     yaw_rad: float = angle()
 
     def load(self, root: Path) -> Load:
-        """Read it."""
+        """Read the load; `file` is relative to `root`."""
         return read_csv(root / self.file).placed(self.origin_m, self.yaw_rad)
 
 
@@ -97,7 +97,7 @@ class ForcePlate:
     least_force_n: float = positive("N", 20.0)
 
     def load(self, root: Path) -> Load:
-        """Read it."""
+        """Read the load; `file` is relative to `root`."""
         path, prefix = root / self.file, self.prefix
         names = [[f"{prefix}_{s}{axis}" for axis in "xyz"] for s in "vpm"]
         table = _opensim_columns(path, [n for row in names for n in row])
@@ -150,7 +150,7 @@ class Playback:
     least_force_n: float = positive("N", 20.0)
 
     def load(self, root: Path) -> Load:
-        """Read it."""
+        """Read the load; `file` is relative to `root`."""
         path = root / self.file
         table = numbers_of(path, text_lines(path), 1, 37)
         phase = table[:, 0].astype(int)
@@ -271,7 +271,7 @@ class Prediction:
     least_force_n: float = positive("N", 20.0)
 
     def load(self, root: Path) -> Load:
-        """Read it."""
+        """Read the load; `file` is relative to `root`."""
         path = root / self.file
         if path.suffix.lower() == ".csv":
             columns = PREDICTION_COLUMNS

@@ -23,7 +23,7 @@ class _Compiled(Dispatcher):
 
 
 def njit(**options) -> Callable[[Callable], Dispatcher]:
-    """Decorator like `numba.njit(cache=True)`, with a cache safe to edits.
+    """Decorator like `numba.njit(cache=True)`, but aware of callees' files.
 
     numba compiles anew when a function's own file has changed. Functions of
     other modules are compiled into it, so here the files of all compiled

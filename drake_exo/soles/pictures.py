@@ -340,7 +340,7 @@ def _pressed(axis, mesh: TetMesh, kpa: np.ndarray, largest=None):
 
 
 def _underside(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
-    """Faces that look down (f, 3), indices of contact nodes; these's x, y.
+    """Faces that look down (f, 3), as indices of contact nodes; nodes' x, y.
 
     The lowest come last, to be drawn over the ceilings of hollows.
     """

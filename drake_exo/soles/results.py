@@ -286,10 +286,7 @@ class Step:
 
     @property
     def free_moment(self) -> np.ndarray:
-        """Moment about the vertical through the ZMP [N·m], (N,).
-
-        It is that of the contact forces.
-        """
+        """Moment of the forces about the vertical at the ZMP [N·m], (N,)."""
         arm = self.history.P - self._zmp_on_ground[:, None]
         return np.cross(arm, self.history.F)[:, :, 2].sum(axis=1)
 

@@ -86,10 +86,10 @@ def sample_weights(
 _MAX_TILT = np.deg2rad(80.0)  # from the ground's normal: beyond, tipped over
 _SMOOTHING_LAYER, _SMOOTHING_KAPPA = 1e-4, 0.2
 _MAX_CANDIDATES = 12
-_LEAST_STEP = 1.0 / 256.0  # of the way to a load
+_LEAST_STEP = 1.0 / 256.0  # smallest part of the way to a load
 _LEAP = 0.1  # rad from a neighbouring design's pose: perhaps another branch
 _SAME = 1e-6  # rad; solutions of one branch are far closer than branches
-_LEAST_PART = 1 / 64  # of the time between samples
+_LEAST_PART = 1 / 64  # smallest part of the time between samples
 _LARGEST = 1e30  # larger numbers in a file are damage
 _TOGETHER = 64  # samples whose displacements are computed at a time
 _PATIENCE = 3  # times the Newton steps of a neighbouring design
@@ -180,7 +180,7 @@ def first_step(
 
 
 def _turn(a: State, b: State) -> float:
-    """Largest difference of two orientations' entries, about in rad."""
+    """Largest difference of two orientations' entries, roughly in rad."""
     return float(np.abs(a.R - b.R).max())
 
 

@@ -173,7 +173,7 @@ class Target:
 
     @property
     def asked(self) -> np.ndarray:
-        """Indices of the wrench's components to meet, and of the pose's."""
+        """Indices of wrench components to meet, and of the pose's to find."""
         if self.is_held:
             return _NOTHING
         return _WHOLE if self.rotation is None else _SHIFT
@@ -208,9 +208,9 @@ class Target:
         )
 
     def about_own_zmp(self, F, P, ground: Ground) -> "Target":
-        """The target, with a given pose about the ZMP that comes out.
+        """The target; with a given pose, about the ZMP that comes out.
 
-        Which is that of nodal forces F [N] at places P [m], (m, 3) each.
+        That is the ZMP of nodal forces F [N] at places P [m], (m, 3) each.
         """
         if self.rotation is None:
             return self
@@ -218,7 +218,7 @@ class Target:
         return replace(self, zmp=zmp[:2], height=float(zmp[2]))
 
     def missed(self, wrench: np.ndarray) -> np.ndarray:
-        """Residual (6,) of a wrench about the ZMP; 0 where it is not asked."""
+        """Residual (6,) of a wrench about the ZMP; 0 if not `asked`."""
         out = np.zeros(6)
         aim = np.array([*self.force, 0.0, 0.0, self.moment])
         out[self.asked] = (wrench - aim)[self.asked]

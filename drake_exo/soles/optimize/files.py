@@ -351,7 +351,7 @@ def read_design(folder: Path) -> StoredDesign:
 def _held(settings: Settings, load: Load) -> np.ndarray:
     """Contact phases whose pose is prescribed, (K,) bool.
 
-    Phases are matched to blocks by weight: a block's share its weight.
+    Phases are matched to blocks by weight, which those of a block share.
     """
     blocks, shares = settings.all_loads, load.shares
     ends = np.cumsum([block.weight for block in blocks])

@@ -320,21 +320,21 @@ class SurfaceLimits:
 
     @cached_property
     def _bottom(self) -> np.ndarray:
-        """Such nodes of faces that look downwards rather than sideways."""
+        """Those on faces that look downwards rather than sideways."""
         faces = self.mesh.contact_faces
         down = _normals(self.mesh, faces)[1] < -_DOWNWARDS
         return np.intersect1d(faces[down], self._bare)
 
     @cached_property
     def _sides(self) -> np.ndarray:
-        """Bare faces that move, but for those at the rim that look upwards."""
+        """Bare faces (f, 3) that move, without upward ones at the rim."""
         faces = self.mesh.contact_faces
         up = _normals(self.mesh, faces)[1] > _DOWNWARDS
         up &= np.isin(faces, self.mesh.fixed).any(axis=1)
         return faces[~up & self.moving[faces].any(axis=1)]
 
     def evaluate(self, mesh: TetMesh) -> list[tuple[str, float, np.ndarray]]:
-        """Name, scaled value (at least 0 where met), ∂/∂nodes (n, 3)."""
+        """The limits: name, scaled value (>= 0 where met), ∂/∂nodes (n, 3)."""
         mine, out = self.limits, []
         z = mesh.nodes[:, 2]
         for name, nodes, sign, limit in (

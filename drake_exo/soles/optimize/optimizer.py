@@ -234,19 +234,19 @@ class _Callbacks:
         return call
 
     def gradient(self, p, out):
-        """Gradient of the cost."""
+        """Write the gradient of the cost into out (P,)."""
         out[()] = self.at(p)[0] + self.problem.regularization(p)[1]
 
     def constraints(self, p, out):
-        """Values of the constraints."""
+        """Write the values of the constraints into out (m,)."""
         out[()] = self.problem.constraints(p)
 
     def jacobian(self, p, out):
-        """Jacobian of the constraints, row by row."""
+        """Write the constraints' Jacobian, row by row, into out (m P,)."""
         out[()] = self.at(p)[1].ravel()
 
     def hessian(self, p, multipliers, factor, out):
-        """Hessian's lower triangle; the factor is 0 in IPOPT's restoration."""
+        """Write the Hessian's lower triangle; restoration has a factor of 0."""
         if factor > 0:
             self.curvature.update(p, *self.at(p), multipliers / factor)
             self.best.latest = (p.copy(), multipliers / factor, self._barrier)
@@ -307,7 +307,8 @@ def minimise(
 
     Args:
         problem, p0: What to minimise, and from where (P,).
-        bounds, iterations: Lower and upper bound, numbers or (P,) each; limit.
+        bounds: Lower and upper bound, numbers or (P,) each.
+        iterations: Largest number of iterations.
         tolerance: IPOPT's scaled optimality error.
         on_iterate: Called with the iteration and the best so far.
         refining: p0 is good already: rejected trials shorten later steps.

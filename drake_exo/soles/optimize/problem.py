@@ -117,7 +117,7 @@ class ShapeProblem:
 
     @property
     def undeformed(self) -> np.ndarray:
-        """The design that is the initial shape in its own walk, (P,)."""
+        """The design of the initial shape in the case's own walk, (P,)."""
         return np.append(np.ones(self.spline.count), self._own_walk)
 
     def within(self, bounds: tuple[float, float]) -> np.ndarray:
@@ -133,7 +133,7 @@ class ShapeProblem:
         """All samples of a design's step.
 
         Raises:
-            InputError: There is no such walk.
+            InputError: No ZMP inside its bounds carries the design's walk.
         """
         return self.gait.load(self._split(p)[1]) if self.gait else self.load
 

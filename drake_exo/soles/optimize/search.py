@@ -406,7 +406,10 @@ def from_start(
 
 
 def start_design(problem: ShapeProblem, bounds, bend: int) -> np.ndarray:
-    """Initial p (P,) within the volume: undeformed, or bent by seed `bend`."""
+    """Initial design p (P,) of a start, within the volume limit.
+
+    Bend 0 is the undeformed shape; others seed a smooth random change of it.
+    """
     if bend == 0:
         return first_design(problem, bounds)
     rng = np.random.default_rng(bend)
@@ -446,7 +449,7 @@ def strain_scale(problem: ShapeProblem, p: np.ndarray) -> float:
 
 
 def _scale(problem: ShapeProblem, at: Checkpoint) -> None:
-    """Scale the strain norm's limit so that the largest strain keeps its."""
+    """Scale the limit on the strain norm, to limit the largest strain."""
     if "strain" in problem.limits:
         largest = _STRAIN_AIM * problem.limits["strain"] / at.strain_scale
         problem.limited["strain"] = partial(strain_limit, largest=largest)
@@ -513,7 +516,7 @@ def settle(problem: ShapeProblem, p: np.ndarray) -> np.ndarray:
 
 
 def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:
-    """The undeformed design, or p (P,), shrunk until it meets the volume."""
+    """The undeformed design, or p (P,), shrunk to meet the volume limit."""
     p, own = problem.undeformed if p is None else p, problem.spline.count
     for _ in range(60):
         if problem.deformed(p).volume <= 0.99 * problem.limits["volume"]:
@@ -525,8 +528,8 @@ def first_design(problem: ShapeProblem, bounds, p=None) -> np.ndarray:
 def nearest_allowed(problem: ShapeProblem, bounds, p) -> np.ndarray:
     """The design nearest to p (P,) that meets the limits on shape alone.
 
-    Nearest in `ShapeProblem.metric`; if none is found, the least-squares
-    compromise SLSQP ends with. A search that starts feasible mostly stays so.
+    Nearest in `ShapeProblem.metric`; if none is found, as near to the limits
+    as SLSQP comes. A search that starts within them mostly stays there.
     """
     p, walk = np.split(p, [problem.spline.count])
     low, high = (np.broadcast_to(b, len(p) + len(walk)) for b in bounds)
@@ -641,7 +644,7 @@ def pareto_front(
 
 
 def _best(found: list[dict], own: dict) -> dict:
-    """The least c_tr with c_rot above the floor of `own`, or its own c_rot."""
+    """The point of least c_tr that keeps `own`'s floor, or its lower c_rot."""
     least = min(own["floor"], own["ratio_rot"])  # the floor if c_rot is NaN
     able = [point for point in found if point["ratio_rot"] >= least]
     best = min(able, key=lambda point: point["ratio_tr"], default=own)
