@@ -1,1 +1,1 @@
-"""The phases: contact calibrated (A, B), movements predicted (C)."""
+"""Contact calibration (Phases A, B), prediction (C) and design (D)."""

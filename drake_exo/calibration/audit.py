@@ -1,9 +1,9 @@
-"""Does the solution hold between its nodes, does it simulate, how near is it?
+"""Audit of a solution between its nodes and by simulation; RMS differences.
 
-Equations of motion and contact laws hold at the nodes. Between them they are
-evaluated with states as the grid's polynomials and controls as cubic splines
-through the nodes; and the motion is simulated in the Diagram, whose integrator
-knows nothing of the grid. How far movements are from one another is here, too.
+Equations of motion and contact laws hold at the nodes. Here they are evaluated
+between nodes (states by the grid's polynomials, controls by cubic splines
+through the nodes), and the motion is simulated in the Diagram, whose integrator
+does not use the grid. `rmsd` and `spread` compare solution and measurements.
 """
 
 from dataclasses import dataclass
@@ -26,10 +26,10 @@ from drake_exo.model.planar_tree import PlanarTree
 FORCE_TOLERANCE = 1.0  # N
 MOMENT_TOLERANCE = 0.5  # N m
 ANGLE_TOLERANCE = 0.1  # deg
-# Of the simulation: damping of 600 N m s/rad makes moments of a speed's error,
-# of what 1e-3 leaves more than the tolerance.
+# Integrator accuracy: damping of 600 N m s/rad turns errors of velocity into
+# moments, which exceed the tolerance at 1e-3.
 _ACCURACY = 1e-4
-# Where each interval is looked at.
+# Places in each interval at which residuals are evaluated.
 _FRACTIONS = (0.25, 0.5, 0.75)
 _BETWEEN = (
     "the contact laws and equations of motion hold at the nodes of the grid, "
@@ -47,17 +47,17 @@ class Audit:
     """Residuals of one trial.
 
     Attributes:
-        trial: its name.
-        force_n: largest force missing between nodes.
-        moment_nm: largest moment missing between nodes.
+        trial: name of the trial.
+        force_n: largest residual force between nodes [N].
+        moment_nm: largest residual moment between nodes [N m].
         simulated_grf_n: RMS difference of the simulated ground reaction
             (horizontal, vertical) from the solution's.
         simulated_angles_deg: largest RMS difference of a joint angle.
         simulated_interaction_n: largest RMS difference of an interaction
             force; None without bushings.
-        intervals: of the grid.
-        simulated_moments_nm: largest RMS of the moment of a joint that
-            feedback adds in the simulation to the solution's.
+        intervals: number of intervals of the grid.
+        simulated_moments_nm: largest RMS, over the joints, of the moment that
+            the simulation's feedback adds to the solution's.
     """
 
     trial: str
@@ -75,7 +75,7 @@ class Audit:
         return all(check.holds for check in self.checks())
 
     def checks(self) -> list[Check]:
-        """What it holds against the tolerances: "audit" and "simulation"."""
+        """Residuals against tolerances: checks "audit" and "simulation"."""
         forces = [*self.simulated_grf_n, self.simulated_interaction_n or 0.0]
         worst = float(np.max(forces))
         rows = (
@@ -98,22 +98,22 @@ class Audit:
             ),
         )
         return [
-            # NaN is within no tolerance.
+            # Written so that NaN fails.
             Check(name, value <= limit, value, limit, unit, self.trial, text)
             for name, value, limit, unit, text in rows
         ]
 
     def summary(self) -> dict:
-        """What summary.json holds of it."""
+        """Entry of this trial in summary.json."""
         return {**vars(self), "holds": self.holds}
 
 
 def audit(result: PhaseResult, index: int = 0) -> Audit:
-    """Look between the nodes of one trial, and simulate it.
+    """Residuals of one trial between its nodes and in a simulation.
 
     Args:
-        result: of a phase.
-        index: of the trial.
+        result: solution of a phase.
+        index: number of the trial in it.
     """
     found, simulated = result.trials[index], simulate(result, index)
     force, moment = between_nodes(result, index)
@@ -141,11 +141,11 @@ def audit(result: PhaseResult, index: int = 0) -> Audit:
 def between_nodes(
     result: PhaseResult, index: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Largest force [N] and moment [N m] missing in each mesh interval, (m,).
+    """Largest residual force [N], moment [N m] in each interval, (m,) each.
 
     Args:
-        result: of a phase.
-        index: of the trial.
+        result: solution of a phase.
+        index: number of the trial in it.
     """
     parts = [_residuals(result, index, fraction) for fraction in _FRACTIONS]
     return tuple(
@@ -157,7 +157,7 @@ def between_nodes(
 def _residuals(
     result: PhaseResult, index: int, fraction: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Forces (m, .) and moments (m, .) missing at one place of m intervals."""
+    """Residual forces, moments (m, .) at one `fraction` of m intervals."""
     problem, found = result.problem, result.trials[index]
     grid = problem.movements[index].grid
     times, q, v, a = grid.between(
@@ -199,7 +199,7 @@ def _residuals(
 def _by_segment(result: PhaseResult, index: int) -> np.ndarray:
     """A trial's ground reaction (n, 3 k) on the k segments that touch.
 
-    What a trial says of a foot counts; segments share it as the solution has.
+    Each foot's sum is the trial's; its segments share it as in the solution.
     """
     problem, found = result.problem, result.trials[index]
     parts = np.split(result.grounds[index], len(problem.soles), axis=1)
@@ -211,18 +211,18 @@ def _by_segment(result: PhaseResult, index: int) -> np.ndarray:
 
 
 def simulate(result: PhaseResult, index: int = 0) -> Trial:
-    """Run a trial in the Diagram with the phase's contact.
+    """Simulate a trial in the Diagram with the phase's contact.
 
-    The solution's torques act, with feedback that keeps it from falling. In
-    Phase A, human and exoskeleton do not touch.
+    The solution's torques act, plus feedback that keeps the model from falling.
+    In Phase A, human and exoskeleton do not touch.
 
     Args:
-        result: of a phase.
-        index: of the trial.
+        result: solution of a phase.
+        index: number of the trial in it.
 
     Returns:
-        The simulated motion at the solution's nodes; NaN from where the
-        integrator can go no further.
+        The simulated motion at the solution's nodes; NaN after the time at
+        which the integrator had to stop.
     """
     found, model = result.trials[index], result.problem.model
     built = build_diagram(
@@ -285,15 +285,15 @@ def simulate(result: PhaseResult, index: int = 0) -> Trial:
 
 
 def holding_gains(tree: PlanarTree, trial: Trial) -> tuple[float, float]:
-    """Feedback of a joint that holds all that is borne above it.
+    """Feedback gains of a joint, enough to balance the body above it.
 
-    A body that is borne with the force F at the height h falls over against
-    less than F h. Twice that holds it, critically damped for a mass F/g there;
-    what is softer lets the error of an integrator grow without end.
+    A body supported by the force F with its centre of mass at height h falls
+    over below a stiffness of F h. Twice that is used, critically damped for a
+    mass F/g at h; with less, errors of integration grow without limit.
 
     Args:
-        tree: of the model.
-        trial: with its ground reaction.
+        tree: the model's.
+        trial: its ground reaction gives F, its postures h.
 
     Returns:
         Stiffness [N m/rad] and damping [N m s/rad].
@@ -306,14 +306,14 @@ def holding_gains(tree: PlanarTree, trial: Trial) -> tuple[float, float]:
 
 
 def _ground_ports(built) -> dict[str, str]:
-    """Segment that touches -> port of its ground reaction."""
+    """Segment that touches the ground -> port of its ground reaction."""
     if len(built.contacts) == 1:
         return dict.fromkeys(built.contacts, "ground_reaction")
     return {body: f"ground_reaction_{body}" for body in built.contacts}
 
 
 def _borne(model, trial: Trial) -> list:
-    """The chair that a trial starts on, if it does, and what is carried."""
+    """Systems that apply a trial's chair and carried loads, if it has any."""
     plant, systems = model.plant(), []
     for shares, wrench in trial.borne():
         bodies = {
@@ -334,11 +334,11 @@ def rms(values: np.ndarray, times: np.ndarray | None = None) -> np.ndarray:
 
     Args:
         values: (n, m), or (n,).
-        times: (n,) of them: a value counts as long as it stands for, so that
-            places where a grid is fine do not count more; even if None.
+        times: (n,) [s]; each value is weighted by the time it stands for, so
+            that finer parts of a grid do not count more. None: equal weights.
 
     Returns:
-        (m,), or a number; NaN where there is nothing.
+        (m,), or a number; NaN where all values are NaN.
     """
     steps = np.ones(len(values) - 1) if times is None else np.diff(times)
     lengths = stands_for(steps)
@@ -352,18 +352,17 @@ def rmsd(found: Trial, measured: Trial, loads: bool = True) -> dict:
     """Root mean square differences of one trial.
 
     Args:
-        found: of the model.
+        found: the model's.
         measured: the same trial as measured.
         loads: compare joint moments and interaction forces, which mean
             nothing while human and exoskeleton do not touch (Phase A).
 
     Returns:
-        trial, angles_deg and velocities_deg_s by joint, the device's where it
-        had encoders, the root's place under its name (x_mm, z_mm, pitch_deg),
-        grf_n (horizontal, vertical) and
-        cop_mm, each by foot where there are two; where they were measured,
-        moments_nm by joint and interaction_n (normal force) by cuff, empty
-        otherwise.
+        The trial's name (trial); angles_deg and velocities_deg_s by joint
+        (the device's only if it has encoders); the root's pose under its name
+        (x_mm, z_mm, pitch_deg); grf_n (horizontal, vertical) and cop_mm, by
+        foot if there are two; moments_nm by joint and interaction_n (normal
+        force) by cuff, empty if not measured.
     """
     at, names = measured.sample(found.times), found.coordinates
     times = found.times
@@ -405,16 +404,16 @@ def rmsd(found: Trial, measured: Trial, loads: bool = True) -> dict:
 
 
 def spread(trials: list[Trial], tree: PlanarTree) -> dict:
-    """One standard deviation over the measured trials, time-normalised.
+    """Standard deviation over the measured trials, time-normalised.
 
-    The mean over the movement of the standard deviation at each percent of
-    it; the paper compares its RMSD with that. NaN for a single trial. Keys as
-    in `rmsd`; joints of the device count in trials with encoders, the centre of
-    pressure is taken from its own foot, where all trials load it.
+    The standard deviation at each percent of the movement, averaged over the
+    movement; the paper compares its RMSD with that. NaN for a single trial.
+    Keys as in `rmsd`. Device joints: over trials with encoders. The centre of
+    pressure: relative to its own foot, at times when all trials load that foot.
 
     Args:
         trials: measured.
-        tree: of the model.
+        tree: the model's.
     """
     names = trials[0].coordinates
     sampled = [
@@ -467,7 +466,7 @@ def spread(trials: list[Trial], tree: PlanarTree) -> dict:
 
 
 def _of_joints(names, values) -> dict[str, float]:
-    """Values (nq,) [rad] of the joints, in degrees."""
+    """Joint -> its value in degrees, of values (nq,) [rad]."""
     return _by_name(names.joints, np.rad2deg(values[names.joint_columns]))
 
 

@@ -1,10 +1,10 @@
-"""Clocks of encoders and mats, found with all else, and what results must hold.
+"""Lags of encoder and mat clocks, and the checks that a phase has to pass.
 
-Where a device moves behind its cuffs, nothing but the whole movement tells
-when its encoders and mats were read: forces, motion and clock have to agree.
-Phase B has the clocks of its own trials among its unknowns. Those of a trial
-that is to be predicted follow likewise, with cuffs that are known. How sure
-they are is among the checks of a phase (`files.output.Verdict`).
+Soft cuffs let a device lag or lead the limb, so a clock's lag can only be
+estimated from the whole movement: forces, motion and clock have to agree.
+Phase B estimates the clocks of its own trials along with the cuffs. `Timing`
+estimates those of a trial that is to be predicted, with the cuffs known. How
+certain a lag is becomes one of a phase's checks (`files.output.Verdict`).
 """
 
 from __future__ import annotations
@@ -30,16 +30,17 @@ from drake_exo.files.output import SOLVED, Check
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
 
-# A clock is known if 95 % of what it may be is within this [s]: a device that
-# turns by 100 degrees a second is then known to a degree.
+# A clock is sure if its lag is known to within this [s] (95 %): angles of a
+# device that turns by 100 degrees a second are then known to a degree.
 LARGEST_DOUBT_S = 0.01
-# Lags are found to first order: of rises 80 ms come out as 55 to 68.
+# Lags are estimated to first order: 80 ms come out as 55 to 68 in rises. Above
+# this [s] an estimate counts as rough.
 _FIRST_ORDER_S = 0.05
 _GIVEN = {
     "encoders": "laboratory.encoder_delay_s",
     "pressure": "laboratory.pressure_delay_s",
 }
-_ORIGIN_M = 1e-3  # by which a cuff sits elsewhere from trial to trial
+_ORIGIN_M = 1e-3  # standard deviation of a cuff's place from trial to trial
 
 
 @dataclass(frozen=True)
@@ -47,10 +48,10 @@ class Clock:
     """Lag of a system's clock behind the markers' in one trial.
 
     Attributes:
-        trial: its name.
-        system: "encoders" or "pressure".
-        lag_s: in all, with what was taken out of the recording.
-        sd_s: standard deviation.
+        trial: name of the trial.
+        system: "encoders" or "pressure" (the mats).
+        lag_s: whole lag, including what was already taken out of the recording.
+        sd_s: its standard deviation.
 
     >>> Clock("rise1", "encoders", 0.031, 0.004).sure
     True
@@ -65,21 +66,21 @@ class Clock:
 
     @property
     def half_width_s(self) -> float:
-        """Half of its 95 % interval."""
+        """Half the width of the lag's 95 % interval."""
         return QUANTILE_95 * self.sd_s
 
     @property
     def sure(self) -> bool:
-        """Whether it is known to 10 ms."""
+        """Whether the lag is known to within 10 ms."""
         return self.half_width_s <= LARGEST_DOUBT_S
 
     @property
     def sentence(self) -> str:
-        """What is known, in words."""
+        """The lag with its 95 % interval, as text."""
         return f"{1e3 * self.lag_s:+.0f} ± {1e3 * self.half_width_s:.0f} ms"
 
     def summary(self) -> dict:
-        """What summary.json holds."""
+        """Entry of this clock in summary.json."""
         return {
             "trial": self.trial,
             "system": self.system,
@@ -90,11 +91,11 @@ class Clock:
 
 
 def clocks_of(trials: Iterable[Trial], known: Posterior) -> list[Clock]:
-    """Clocks of recorded trials, as far as they were estimated.
+    """Clocks of recorded trials that were estimated.
 
     Args:
         trials: measured.
-        known: errors of theirs among what it knows.
+        known: posterior that may hold the trials' clocks.
     """
     found = []
     for trial in trials:
@@ -108,7 +109,7 @@ def clocks_of(trials: Iterable[Trial], known: Posterior) -> list[Clock]:
 
 
 def left(trial: Trial, own: Sequence[Clock]) -> Posterior:
-    """What a recorded trial's own clocks lag besides what was taken out."""
+    """Posterior of the lags that are left in a recorded trial."""
     return Posterior(
         tuple(f"{trial.name}.{CLOCKS[c.system]}" for c in own),
         np.array([c.lag_s - trial.lags_s.get(c.system, 0.0) for c in own]),
@@ -117,13 +118,12 @@ def left(trial: Trial, own: Sequence[Clock]) -> Posterior:
 
 
 def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
-    """A recorded trial with its encoders on the clock that was found.
+    """A recorded trial with its encoders shifted by the lag that was found.
 
-    The error model shifts signals to first order, which a torque that sets in
-    within a tenth of a second does not follow by tens of milliseconds. Splines
-    go on beyond the ends: angles are off by 0.1 degrees at most there for 40 ms
-    (in the virtual laboratory; by 2 degrees for 100 ms), held they would be by
-    2.6.
+    The error model shifts signals to first order only: too rough for tens of
+    milliseconds if a torque sets in within a tenth of a second. The splines
+    extrapolate at the ends: in the virtual laboratory angles there are off by
+    at most 0.1 degrees for 40 ms (2 degrees for 100 ms); held constant, by 2.6.
     """
     lags = {c.system: c.lag_s for c in own if c.system == "encoders"}
     if not lags:
@@ -157,16 +157,16 @@ def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
 
 
 class Timing(InteractionCalibration):
-    """Phase B of one more trial: what is known comes before its own data.
+    """Phase B of trials to be predicted, to find their clocks.
 
-    Its cuffs are as calibrated, give or take what a calibration left open and
-    what no bushing tells: a cuff that bears more is stiffer, or slips.
+    The calibration is the prior of cuffs and errors. The prior of the cuffs is
+    widened by what a bushing cannot represent: a loaded cuff stiffens, or slips.
 
     Args:
         model: subject and device.
         trials: measured.
         contact: calibrated, with its posterior.
-        settings: of Phase B.
+        settings: Phase B's.
     """
 
     def __init__(
@@ -183,7 +183,7 @@ class Timing(InteractionCalibration):
             for p in settings.parameters(model.cuffs)
             if p.free and not p.name.endswith(".slip")
         ]
-        # Bounds were Phase B's; what is known may be another's, or scaled.
+        # The value may be outside these bounds: other settings, or scaled.
         parameters = [
             replace(
                 p,
@@ -206,7 +206,7 @@ class Timing(InteractionCalibration):
         )
 
     def _prior(self) -> tuple[list[str], np.ndarray, np.ndarray]:
-        """One prior of all parameters and errors together."""
+        """Joint prior of parameters and errors: names, mean, covariance."""
         known = self.contact.posterior
         free = self.parameters
         cuffs = [p.name for p in free]
@@ -227,12 +227,12 @@ class Timing(InteractionCalibration):
 def phase_checks(
     result: PhaseResult, audits: Sequence[Audit], clocks: Sequence[Clock] = ()
 ) -> list[Check]:
-    """Solved, audit and simulation; as notes bounds and clocks.
+    """Checks: solved, audit, simulation; and, as notes, bounds and clocks.
 
     Args:
-        result: of a phase.
-        audits: of its trials; none after a failed solve.
-        clocks: that were found with it.
+        result: solution of a phase.
+        audits: one for each trial; none after a failed solve.
+        clocks: estimated along with the solution.
     """
     solution = result.solution
     names = ", ".join(t.name for t in result.problem.trials)
@@ -267,12 +267,11 @@ def phase_checks(
 def clock_checks(
     trials: Iterable[Trial], found: Sequence[Clock] = ()
 ) -> list[Check]:
-    """Whether the lag of each clock is known, as notes.
+    """Notes that say whether the lag of each clock is known.
 
     Args:
-        trials: recorded; of a clock that was not found it counts what was
-            said when the recording was read.
-        found: those that were.
+        trials: recorded; their provenance speaks for a clock not in `found`.
+        found: clocks that were estimated.
     """
     known = {(c.trial, c.system): c for c in found}
     made = []
