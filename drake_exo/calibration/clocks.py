@@ -159,8 +159,8 @@ def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
 class Timing(InteractionCalibration):
     """Phase B of trials to be predicted, to find their clocks.
 
-    The calibration is the prior of cuffs and errors. The prior of the cuffs is
-    widened by what a bushing cannot represent: a loaded cuff stiffens, or slips.
+    The calibration is the prior of cuffs and errors. That of the cuffs is
+    widened by what a bushing cannot represent: under load they stiffen or slip.
 
     Args:
         model: subject and device.

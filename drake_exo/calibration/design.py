@@ -1,10 +1,10 @@
 """Phase D: cuffs and assistance for the people who will wear them.
 
-All trials of all wearers in one program with shared design variables: place
-of each cuff, compliance of its straps, factors on the device's torques. What
-is minimised is a smooth peak (a norm of high order) or the mean of the cuffs'
-forces over time, cuffs, trials and wearers, besides the person's effort;
-limits on what is felt and on the device's work are bounds by name.
+All trials of all wearers are one program (`DesignProblem`) that shares the
+design variables: place of each cuff, compliance of its straps, assistance at
+the device's joints. Minimised are a smooth peak (a norm of high order) or the
+mean of the cuffs' forces over time, cuffs, trials and wearers, and the person's
+effort. Limits on what is felt and on the device's work are named bounds.
 """
 
 from __future__ import annotations
@@ -72,31 +72,31 @@ from drake_exo.nlp import ipopt
 from drake_exo.nlp.ipopt import Iterate
 from drake_exo.nlp.program import BatchedProgram
 
-# Jerk in a design, against what is typical.
+# Typical size of jerk in a design's cost, as a multiple of the contact's.
 _LOOSE = 10.0
-# Cost of a change by its typical size: what buys nothing is not changed.
+# Cost of a change by its typical size: what gains less stays unchanged.
 _LEAST_GAIN = 1e-3
-# A force that is felt, at least, so that the objective has a scale.
+# Least scale of the force norm, so that the objective has one without forces.
 _LEAST_SCALE_N = 5.0
-# Cost of all that migration is beyond its limit today, against all forces':
-# the limit comes first wherever it can be kept.
+# Cost of all migration beyond its limit today, as a multiple of the forces'
+# cost: the limit takes precedence wherever it can be kept.
 _BEYOND = 5.0
-# The objective's weight where nothing changes: forces of the own movement, not
-# those of a device that swings to please them.
+# Weight of the objective where nothing changes: so small that the movement
+# stays the person's own and the device does not swing to lower forces.
 _LIGHT = 0.1
 _POWER_UNIT_W = 10.0
 _RATE = "rate of normal force"
-# Places of a cuff that every design has, see BushingKinematics.
+# Inputs that place every cuff (origin, preloads), see BushingKinematics.
 _NUM_PLACES = 2 + len(PRELOADS)
 
 
 class _Wearing(PhaseProblem):
-    """One wearer's trials in the program of a design.
+    """One wearer's trials within the program of a design.
 
     Args:
         wearer: without the cuffs that the design leaves out.
-        posed: the design, with its variables.
-        scale: force that the norm is taken of [N].
+        posed: the design problem, with its variables.
+        scale: unit of the forces in the norm [N].
         weights_s: sum of all nodes' weights, over cuffs, trials, wearers [s].
     """
 
@@ -109,7 +109,7 @@ class _Wearing(PhaseProblem):
     ):
         self.wearer, self._posed = wearer, posed
         self._scale, self._weights_s = scale, weights_s
-        # None while that is not known: then there are no limits.
+        # None while today's solution is not known: then there are no limits.
         self._today = posed.today and posed.today.wearers[wearer.name]
         settings = posed.settings
         jerk = settings.jerk or _LOOSE * wearer.contact.jerk
@@ -118,13 +118,12 @@ class _Wearing(PhaseProblem):
             solver=settings.solver,
             guess="data",
         )
-        # Variables of each cuff that follow from the design.
+        # Each cuff's origin and compliances (variables), given by the design.
         self.built: list[np.ndarray] = []
-        # Of each trial, how far its device's joints go to each node [rad].
+        # Each trial's joint travel of the device that a node stands for [rad].
         self._ways: list[np.ndarray] = []
         self._total = None
-        # (what is limited, of which cuff or joint, in which movement) ->
-        # variables that stand for it.
+        # (quantity that is limited, cuff or joint, movement) -> its variables.
         self._limited: dict[tuple[str, str, str], np.ndarray] = {}
         self._means: dict[str, np.ndarray] = {}
         self._beyond: dict[str, np.ndarray] = {}
@@ -140,7 +139,7 @@ class _Wearing(PhaseProblem):
         self._limit_support()
 
     def moving(self, cuff: str):
-        """See PhaseProblem: preload, and joints that the device moves at."""
+        """See PhaseProblem: the preload, and joints whose place may move."""
         joints = joints_below(self.model, cuff)
         links = [self.tree.cuffs[cuff][1]]
         links += [self.tree.joints[joint][0] for joint in joints]
@@ -157,7 +156,7 @@ class _Wearing(PhaseProblem):
         return np.concatenate([super().places(cuff), moved])
 
     def equations(self, tree, bodies, bushings, load):
-        """See PhaseProblem: with the weight of links whose joints move."""
+        """See PhaseProblem; with the weight of links at moved joints."""
         moved, known = [], set()
         for b, cuff in enumerate(self.bushings):
             for k, joint in enumerate(joints_below(self.model, cuff)):
@@ -177,7 +176,7 @@ class _Wearing(PhaseProblem):
         return int(self.tree.segment_of[self.tree.body_index(link)])
 
     def _of_cuff(self, cuff: str, names) -> np.ndarray:
-        """Design variables of a cuff by name."""
+        """A cuff's design variables of these names."""
         return np.array([self._posed.variables[f"{cuff}.{n}"] for n in names])
 
     def _add_group(self, group, parameters):
@@ -206,7 +205,7 @@ class _Wearing(PhaseProblem):
         return variables
 
     def _hold_ends(self, movement: TrialProgram, at: Trial) -> None:
-        """The person's ends; the device's follow from its equations."""
+        """Give the person's end states; the device's are left free."""
         if self._posed.settings.response == "own":
             return
         names = movement.coordinates
@@ -246,7 +245,7 @@ class _Wearing(PhaseProblem):
         return movement
 
     def _drive(self, movement: TrialProgram, at: Trial) -> None:
-        """The device's torques, by those of today and the design."""
+        """Tie the device's torques to today's and to the design."""
         names, posed = movement.coordinates, self._posed
         device = names.is_device_joint
         torques, today = movement.torque[:, device], at.moments[:, device]
@@ -261,7 +260,8 @@ class _Wearing(PhaseProblem):
                 continue
             factors = np.array([posed.variables[n] for n in own])
             known = assistance_of({n.partition(".")[2]: 1.0 for n in own})
-            # Where nothing drives a joint all of it stays, and no part is left.
+            # No design variable scales what stays: friction and springs, or on
+            # a joint without such variables the whole torque.
             stays = passive[:, i] if own else today[:, i]
             drive = today[:, i] - stays
             parts, more = (
@@ -291,7 +291,7 @@ class _Wearing(PhaseProblem):
             )
 
     def _add_forces(self, movement: TrialProgram) -> None:
-        """The norm of the cuffs' forces, as mats would show them, as a cost."""
+        """Add the norm of the cuffs' forces, as mats would show them."""
         settings = self._posed.settings
         share = movement.grid.quadrature / self._weights_s
         used = share > 0.0
@@ -311,9 +311,9 @@ class _Wearing(PhaseProblem):
             )
 
     def _limit(self, movement: TrialProgram) -> None:
-        """Bounds on what is felt, by name; today is as it is.
+        """Add named bounds on what is felt; none where today is unknown.
 
-        Of forces across a limb as mats would show them.
+        Forces across a limb are limited as mats would show them.
         """
         if self._today is None:
             return
@@ -357,7 +357,7 @@ class _Wearing(PhaseProblem):
             movement.bound(own.ravel(), -edge, edge)
 
     def _allowed(self, most, today):
-        """A limit; one who is drawn need not feel less than today."""
+        """The limit; for a wearer who was drawn at least today's value."""
         return np.maximum(most, today) if self.wearer.is_drawn else most
 
     def _new(
@@ -370,16 +370,16 @@ class _Wearing(PhaseProblem):
         most: float,
         rows: int | None = None,
     ) -> np.ndarray:
-        """Variables that stand for what is limited, from the first node on.
+        """New bounded variables for a limited quantity, one for each node.
 
         Args:
-            movement: in which.
+            movement: to which they are added.
             of: cuff or joint.
-            what: is limited.
-            unit: for reports, and factor that leads to it.
-            size: typical one.
-            most: limit on it, either way.
-            rows: for so many nodes, all by default.
+            what: name of the quantity.
+            unit: for reports, with the factor that converts to it.
+            size: typical size.
+            most: limit on the absolute value.
+            rows: number of nodes, from the first on; all by default.
         """
         times = [f"at {t:.3g} s" for t in movement.grid.times[:rows]]
         n = len(times)
@@ -422,11 +422,11 @@ class _Wearing(PhaseProblem):
         )
 
     def _migration_beyond(self, cuff: str, most: float) -> np.ndarray:
-        """How far migration is beyond its limit (1,) [m], in all trials.
+        """Variable (1,) [m]: how far migration exceeds its limit in any trial.
 
-        Where it is today, nobody knows yet whether the limit can be kept. A
-        cost in proportion, for all of it five times that of all forces, brings
-        it to the limit, or as near as it can; never beyond today's.
+        If today's does, it is not known whether the limit can be kept. A cost
+        in proportion (today's excess costs five times as much as all forces)
+        brings it to the limit or as near as possible, never beyond today's.
         """
         if cuff not in self._beyond:
             prog = self.program.prog
@@ -460,7 +460,7 @@ class _Wearing(PhaseProblem):
         )
 
     def _limit_rate(self, movement, cuff: str) -> None:
-        """From each node to the next."""
+        """Limit how fast normal force changes from each node to the next."""
         differ, steps = self.wearer.shown(cuff), np.diff(movement.grid.times)
         limit, n = self._posed.settings.limits.rate_n_s / differ, len(steps)
         most = self._allowed(limit, self._today.largest_rates[cuff])
@@ -474,7 +474,7 @@ class _Wearing(PhaseProblem):
         ).evaluator().set_description(f"{movement.name} {cuff} {_RATE}")
 
     def _limit_mean(self) -> None:
-        """Of the size of each cuff's normal force, over time and trials."""
+        """Limit each cuff's mean size of normal force, over time and trials."""
         limit = self._posed.settings.limits.mean_n
         if self._today is None or limit is None:
             return
@@ -510,12 +510,12 @@ class _Wearing(PhaseProblem):
             prog.AddBoundingBoxConstraint([0.0], [most], mean)
 
     def _shares(self) -> np.ndarray:
-        """Of all nodes in a mean over time, and then over trials."""
+        """Weights of all nodes in a mean over time, and then over trials."""
         weights = [m.grid.quadrature for m in self.movements]
         return np.concatenate([w / w.sum() for w in weights]) / len(weights)
 
     def _limit_drives(self, movement: TrialProgram, at: Trial) -> None:
-        """What each drive can do; a joint's friction is not the drive's."""
+        """Limit each drive's torque, speed and power; friction is not its."""
         if self._today is None:
             return
         names = movement.coordinates
@@ -546,7 +546,7 @@ class _Wearing(PhaseProblem):
             )
 
     def _check_drive(self, joint: str, today: float) -> None:
-        """Refuse a limit on a torque that the design leaves as it is."""
+        """Refuse a limit below today's torque if no variable changes it."""
         most = self._posed.settings.limits.drives[joint].torque_nm
         if today > most and not self._posed.assistance(joint):
             raise InputError(
@@ -557,10 +557,10 @@ class _Wearing(PhaseProblem):
             )
 
     def work(self, trials: Sequence[Trial]) -> float:
-        """Of the device's torques over its movements of today [J].
+        """Work of the device's torques along its movements of today [J].
 
-        Softer cuffs let the device go further, which is no support: a device
-        that is built does not follow. So its movement of today counts.
+        Softer cuffs let the device move further, which is no support: the
+        device that is built does not. Hence its movement of today is used.
 
         Args:
             trials: solved, in the order of the wearer's.
@@ -573,7 +573,7 @@ class _Wearing(PhaseProblem):
         )
 
     def _on_the_way(self) -> tuple[np.ndarray, np.ndarray]:
-        """Way of each of the device's joints to each node, and its torque."""
+        """Travel of the device's joints at all nodes [rad], and the torques."""
         torques = [
             m.torque[:, m.coordinates.is_device_joint] for m in self.movements
         ]
@@ -586,7 +586,7 @@ class _Wearing(PhaseProblem):
         return trial.moments[:, trial.coordinates.is_device_joint]
 
     def _limit_support(self) -> None:
-        """The device's work over all trials, about that of today."""
+        """Keep the device's work over all trials near a share of today's."""
         posed = self._posed
         limit = posed.settings.limits.support
         if self._today is None or limit is None:
@@ -618,11 +618,11 @@ class _Wearing(PhaseProblem):
         values: Mapping[str, float],
         trials: Sequence[Trial],
     ) -> None:
-        """Program variables of these trials from solved ones.
+        """Set this wearer's program variables from solved trials.
 
         Args:
-            x: all program variables.
-            values: of the design variables.
+            x: all program variables, changed in place.
+            values: value of each design variable.
             trials: solved.
         """
         design = design_of(values)
@@ -645,7 +645,7 @@ class _Wearing(PhaseProblem):
             x[self.program.indices(self._total)] = total
 
     def _under_segments(self, at: Trial) -> np.ndarray:
-        """Ground reaction (n, 3 k), a foot's on the first of its segments."""
+        """Ground reaction (n, 3 k), a foot's all on its first segment."""
         found = {body: np.zeros((len(at.times), 3)) for body in self.soles}
         for side, bodies in self.feet.items():
             found[bodies[0]] = at.soles[side].array
@@ -694,12 +694,12 @@ class DesignProblem(Compiles):
     """A design posed as one MathematicalProgram.
 
     Args:
-        wearers: who wear it, with their movements of today.
-        settings: what may change, what counts.
-        held: values of design variables that are given, by name; True for
-            those of today, all of them.
-        today: the solution with nothing changed, which some limits are
-            relative to; without it there are no limits.
+        wearers: people who wear the device, with their movements of today.
+        settings: what may change, what is minimised and what is limited.
+        held: name -> value of design variables to be kept fixed; True fixes
+            all of them at today's values.
+        today: solution with nothing changed, to which some limits are
+            relative; without it there are no limits.
         support: share of today's work that the device is to do.
         without: cuffs that are left out.
 
@@ -709,11 +709,11 @@ class DesignProblem(Compiles):
         wearers, settings, today, support, without: as given.
         design: the design variables.
         variables: name -> decision variable.
-        parts: one for each wearer.
+        parts: trials of each wearer within the program.
 
     Raises:
         InputError: there are no wearers, they wear different devices, trials
-            know no device torques, or nothing is left to hold the device.
+            hold no device torques, or nothing is left to hold the device.
     """
 
     def __init__(
@@ -750,10 +750,10 @@ class DesignProblem(Compiles):
     def of_today(
         cls, wearers: Sequence[Wearer], settings: DesignSettings | None = None
     ) -> DesignProblem:
-        """Nothing changed: what a design is measured against.
+        """The problem with nothing changed, which a design is compared with.
 
-        Where people move as before, the objective hardly counts; where they
-        answer freely, they please it today as they will on the design.
+        If people move as before (response "own"), the objective hardly counts;
+        if their response is free, it counts in full, as on the design.
         """
         settings = settings or DesignSettings()
         if settings.response == "own":
@@ -780,14 +780,14 @@ class DesignProblem(Compiles):
 
     @property
     def movements(self) -> list[TrialProgram]:
-        """Of all wearers."""
+        """Movements of all wearers."""
         return [m for part in self.parts for m in part.movements]
 
     def guess(self, values: Mapping[str, float] | None = None) -> np.ndarray:
-        """Program variables with the movements of today.
+        """Program variables (num_vars,) with the movements of today.
 
         Args:
-            values: of design variables; those of today by default.
+            values: value of design variables by name; today's by default.
         """
         x = self.program.start()
         chosen = {
@@ -808,7 +808,7 @@ class DesignProblem(Compiles):
         guess: np.ndarray | None = None,
         on_iterate: Callable[[Iterate], None] | None = None,
     ) -> DesignResult:
-        """Solve and collect."""
+        """Solve, and collect each wearer's trials on the design."""
         compiled = self.compiled_anew()
         guess = self.guess() if guess is None else guess
         solution = ipopt.solve(

@@ -1,10 +1,10 @@
 """How many cuffs a device needs, and whether they hold it.
 
-A design is made with each removable cuff left out in turn. With the person
-held still, the springs of those that are left, springs across joints and
-gravity give the device's joints a potential energy. Where its curvature is
-negative for some combination of them, the device is pushed further off by its
-own weight: it hangs loose, however well a movement on it solves.
+`fewer` repeats the design with each removable cuff left out in turn. `hold`
+checks the remaining ones: with the person held still, springs of the cuffs,
+springs across joints and gravity give the device a potential energy. If its
+curvature by the device's joints is negative in some direction, the device's own
+weight moves it away: it hangs loose, even if a movement on it can be solved.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,9 +32,9 @@ class Hold(NamedTuple):
     """How well a device is held.
 
     Attributes:
-        stiffness: least curvature of the energy by the device's joints, of
-            unit length together, over all postures [N m/rad].
-        joint: that turns most where it is least.
+        stiffness: least curvature of the energy by the device's joint angles
+            (least eigenvalue), over all postures [N m/rad].
+        joint: the joint that turns most in that direction.
     """
 
     stiffness: float
@@ -58,8 +58,8 @@ def hold(
     Args:
         model: subject and device.
         contact: its bushings are the cuffs.
-        trials: whose postures are looked at.
-        springs: across the device's joints (m,) [N m/rad].
+        trials: the postures of these are checked.
+        springs: stiffness (m,) of springs across the device's joints [N m/rad].
     """
     tree, names = model.tree, model.coordinates
     device = names.device_columns
@@ -69,7 +69,7 @@ def hold(
     ]
 
     def slope(q: np.ndarray) -> np.ndarray:
-        """Of the energy by the device's joints (n, m) at q (n, nq)."""
+        """Energy's slope by the device's joints (n, m) at q (n, nq)."""
         rest = np.zeros_like(q)
         found = tree.inverse_dynamics(q, rest, rest)
         for kinematics, bushing in cuffs:
@@ -90,7 +90,7 @@ def hold(
         step[column] = _STEP_RAD
         change = slope(q + step) - slope(q - step)
         curvature[:, :, i] = change / (2.0 * _STEP_RAD)
-    # Alike but for the differences, also where a cuff slips.
+    # Symmetric but for errors of differences, also where a cuff slips.
     curvature = 0.5 * (curvature + curvature.transpose(0, 2, 1))
     curvature += springs * np.eye(len(device))
     least, modes = np.linalg.eigh(curvature)
@@ -104,11 +104,11 @@ class Tried:
     """A design with some cuffs left out.
 
     Attributes:
-        without: the cuffs.
-        norm_n: of all cuffs' forces [N]; None where there is no such design.
-        forecast_n: the same on the design as it is built; likewise.
-        design: likewise.
-        why_not: in a sentence; empty where there is one.
+        without: the cuffs left out.
+        norm_n: norm of all cuffs' forces [N]; None if there is no such design.
+        forecast_n: that norm in the forecast of the design [N], or None.
+        design: the design, or None.
+        why_not: sentence that says why there is none; else empty.
     """
 
     without: tuple[str, ...]
@@ -119,7 +119,7 @@ class Tried:
 
     @property
     def name(self) -> str:
-        """Of its cuffs that are left out."""
+        """Names of the cuffs left out, joined by "and"."""
         return " and ".join(self.without) or "none"
 
 
@@ -128,22 +128,22 @@ def fewer(
     forecast: Callable[[DesignResult], float],
     watch: Callable[[str], Callable[[Iterate], None]],
 ) -> tuple[DesignResult, list[Tried]]:
-    """The best design with as many cuffs as it needs.
+    """The best design with as few cuffs as it needs, by greedy removal.
 
-    Of a design, each cuff that may be removed is left out in turn and all
-    else is designed again under all limits; the best of them takes its place
-    if the norm of the forces in its forecast is less, and so on. The cost is
-    not compared: how far a movement is off the person's own by parts of 0.02
-    degrees would decide.
+    Each removable cuff is left out in turn and all else designed again under
+    all limits. The best of these designs replaces the present one if the norm
+    of the forces in its forecast is less, and the removal is repeated. Costs
+    are not compared: differences of 0.02 degrees between a movement and the
+    person's own would decide.
 
     Args:
-        found: with every cuff, solved.
-        forecast: norm of the forces on a design as it is built [N]; raises
-            InputError where nobody can move on it, or it hangs loose.
-        watch: makes what is called on each iterate, by what is solved.
+        found: solved design with every cuff.
+        forecast: norm of the forces on a design as built [N]; raises InputError
+            if nobody can move on it, or it hangs loose.
+        watch: makes the callback on iterates from a text on what is solved.
 
     Returns:
-        The best one, and all that were tried, the one with every cuff first.
+        The best design, and all that were tried, the one with every cuff first.
     """
     settings = found.problem.settings
     removable = [
@@ -183,10 +183,10 @@ def fewer(
 def _without(
     found: DesignResult, without: tuple[str, ...], watch
 ) -> DesignResult:
-    """A design without some cuffs.
+    """The design made again without some cuffs.
 
     Raises:
-        InputError: the device would hang loose, or there is none.
+        InputError: the device would hang loose, or the solve failed.
     """
     problem = found.problem
     for wearer in problem.wearers:

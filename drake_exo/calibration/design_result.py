@@ -1,4 +1,4 @@
-"""What a design found: its wearers' trials, and what they feel."""
+"""Result of a design: wearers' trials, forces they feel, and their norm."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class WearerResult:
 
     Attributes:
         problem: the wearer's part of the program.
-        solution: of the whole program.
-        contact: with the design's cuffs.
+        solution: state of the whole program's solve.
+        contact: the wearer's, with the design's cuffs.
         trials: the solution of each movement, named as measured.
     """
 
@@ -50,7 +50,7 @@ class WearerResult:
 
     @cached_property
     def largest_rates(self) -> dict[str, float]:
-        """Cuff -> how fast its normal force rises or falls at most [N/s]."""
+        """Cuff -> largest rate of its normal force [N/s]."""
         return {
             cuff: max(largest_rate(t, cuff) for t in self.trials)
             for cuff in self.problem.bushings
@@ -58,7 +58,7 @@ class WearerResult:
 
     @cached_property
     def mean_forces(self) -> dict[str, float]:
-        """Cuff -> size of its normal force, mean over time and trials [N]."""
+        """Cuff -> mean size of its normal force over time and trials [N]."""
         return {
             cuff: mean_force(self.trials, cuff)
             for cuff in self.problem.bushings
@@ -76,7 +76,7 @@ class WearerResult:
 
     @cached_property
     def largest_moments(self) -> np.ndarray:
-        """Of each of the person's joints over trials [N m]."""
+        """Largest moment of each of the person's joints (m,) [N m]."""
         human = [
             np.abs(t.moments[:, ~t.coordinates.is_device_joint])
             for t in self.trials
@@ -86,14 +86,15 @@ class WearerResult:
 
 @dataclass(frozen=True)
 class DesignResult:
-    """What a design found.
+    """Result of a solved design.
 
     Attributes:
-        problem: that was solved.
+        problem: the problem that was solved.
         solution: state of the solve.
-        compiled: what was solved: its program may be added to afterwards.
+        compiled: the program as solved; `problem.program` may have been added
+            to since.
         values: name -> value of each design variable (straps as compliance).
-        wearers: name -> its trials on the design.
+        wearers: wearer's name -> trials on the design.
     """
 
     problem: DesignProblem
@@ -104,7 +105,7 @@ class DesignResult:
 
     @property
     def design(self) -> Design:
-        """What is to be built.
+        """The design that is to be built.
 
         Raises:
             SealedSolutionError: the solve failed.
@@ -125,10 +126,10 @@ class DesignResult:
         )
 
     def slopes(self) -> dict[str, float]:
-        """Derivative of the optimum by each design variable that is held.
+        """Derivative of the optimal cost by each design variable that is fixed.
 
-        Of the whole cost; held are those whose bounds are equal, or that sit
-        at a bound.
+        Fixed are those with equal bounds; free ones that sit at a bound are
+        held there and have no entry.
         """
         problem, program = self.problem, self.compiled
         y = program.restrict(self.solution.raw_values())
@@ -147,16 +148,13 @@ class DesignResult:
 
 
 def largest_rate(trial: Trial, cuff: str) -> float:
-    """How fast a cuff's normal force rises or falls at most [N/s].
-
-    From each sample to the next.
-    """
+    """Largest rate of a cuff's normal force, sample to sample [N/s]."""
     rises = np.diff(trial.cuffs[cuff].normal) / np.diff(trial.times)
     return float(np.abs(rises).max())
 
 
 def mean_force(trials: Sequence[Trial], cuff: str) -> float:
-    """Size of a cuff's normal force, mean over time and then trials [N]."""
+    """Mean size of a cuff's normal force, over time and then trials [N]."""
     means = [
         np.trapezoid(np.abs(t.cuffs[cuff].normal), t.times) / t.duration
         for t in trials
@@ -168,8 +166,8 @@ class Norm(NamedTuple):
     """The norm that is minimised, of all cuffs' forces in some trials.
 
     Attributes:
-        total: integral of the forces to the order of the norm [N^p s].
-        duration: over time and cuffs [s].
+        total: integral of |force|^p over time, summed over cuffs [N^p s].
+        duration: time, summed over trials and cuffs [s].
         order: p.
     """
 
@@ -191,15 +189,14 @@ def norm_of(
 ) -> Norm:
     """The norm of one wearer's trials.
 
-    Each force over the cuff's area against today's, if a design changes it,
-    and as mats would show it; one that is left out counts as one without
-    force.
+    Forces are taken as mats would show them and divided by the cuff's area
+    relative to today's. A cuff that is left out counts as one without force.
 
     Args:
         trials: solved.
-        settings: of the design.
-        design: of the trials; nothing changed by default.
-        shown: see Wearer.
+        settings: the design's.
+        design: on which the trials were; nothing changed by default.
+        shown: factor on a cuff's force for what mats would show, see Wearer.
     """
     cuffs = {} if design is None else design.cuffs
     removed = () if design is None else design.removed
@@ -223,13 +220,13 @@ def worn_norm(
 
 
 def joint_norm(norms: Iterable[Norm]) -> float:
-    """Of several wearers together [N]."""
+    """Norm of several wearers together [N]."""
     totals, durations, orders = zip(*norms, strict=True)
     return Norm(sum(totals), sum(durations), orders[0]).newton
 
 
 def works(result: DesignResult) -> dict[str, float]:
-    """Wearer -> work of the device over its movements of today [J]."""
+    """Wearer -> work of the device along its movements of today [J]."""
     return {
         name: found.problem.work(found.trials)
         for name, found in result.wearers.items()

@@ -1,4 +1,4 @@
-"""What a design may change, and the design that values of it make."""
+"""Variables of a design, and the design that their values make."""
 
 from __future__ import annotations
 
@@ -25,16 +25,17 @@ from drake_exo.model.assembly import without_side
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import CUFFED
 
-# A cuff stays this far from the joints at its limb's ends.
+# Least distance of a cuff from the joints at its limb's ends.
 _FROM_JOINT_M = 0.05
 # Typical compliance of a strap.
 _STRAP_SIZE = {"m/N": 1e-4, "rad/(N m)": 1e-2}
-# A joint drives if its torque reaches this share of the largest.
+# A joint counts as driven if its torque reaches this share of the largest.
 _DRIVEN = 0.05
-# Where the device's half of a cuff goes alone: forwards, up.
+# Displacements of the device's half of a cuff alone (forwards, up), and of a
+# joint's place.
 PRELOADS = ("preload_across_m", "preload_along_m")
 OFFSETS = ("across_m", "along_m")
-# What the name of a factor on a joint's torque begins with.
+# How the name of a factor on a joint's torque begins, and ends if at an angle.
 FACTOR, _DEG = "factor_at_", "_deg"
 # Gain of a joint's controller -> typical size.
 GAINS = {
@@ -51,10 +52,10 @@ class Variable:
 
     Attributes:
         name: such as "thigh.along_m" or "exo_knee.factor".
-        unit: of its values.
-        lower, upper: bounds; equal ones hold it.
+        unit: unit of its values.
+        lower, upper: bounds; equal ones fix it.
         today: value that changes nothing.
-        size: typical one.
+        size: typical size of a change.
     """
 
     name: str
@@ -81,8 +82,8 @@ class Variable:
     def at_bound(self, value: float) -> bool:
         """Whether a value sits at a bound, within 0.5 % of the range.
 
-        No strap can be stiffer than stiff, no slide, spring or damper less
-        than none, no slide more than free: those are no bounds.
+        Natural limits do not count: a rigid strap; no slide, spring or damper
+        at all; a free slide.
         """
         margin = 5e-3 * (self.upper - self.lower)
         what = self.name.partition(".")[2]
@@ -98,9 +99,9 @@ class Variable:
 def design_variables(
     wearers: Sequence[Wearer], settings: DesignSettings
 ) -> list[Variable]:
-    """All of them, those of each cuff, then factors on the device's torques.
+    """All variables: cuffs', then places of joints, then assistance.
 
-    Straps are varied as compliance [m/N]: 0 for one that adds nothing.
+    Straps are varied as compliance [m/N, rad/(N m)]; 0 is a rigid strap.
     """
     found = []
     model = wearers[0].model
@@ -166,10 +167,11 @@ def _gains(joint: str, settings: DesignSettings) -> list[Variable]:
 
 
 def _driven(wearers: Sequence[Wearer]) -> list[str]:
-    """Joints of the device with more than friction to offer."""
+    """Joints of the device that are driven, not merely resist by friction."""
     names = wearers[0].model.coordinates
     trials = [(w, t) for w in wearers for t in w.trials]
-    # A bench may be wrong about friction: both count.
+    # Friction identified on a bench may be wrong: the torque has to be large
+    # enough both with and without it.
     most, drive = (
         np.max([np.abs(x).max(axis=0) for x in torques], axis=0)
         for torques in (
@@ -187,7 +189,7 @@ def _driven(wearers: Sequence[Wearer]) -> list[str]:
 
 
 def _factors_at(joint: str, wearers, settings: DesignSettings) -> list[str]:
-    """Where a joint's factors are, as their names end."""
+    """Ends of the names of a joint's factors: angles or places in time."""
     if settings.assistance_over == "angle":
         angles = _angles(joint, wearers, settings.points)
         return [f"{angle:g}{_DEG}" for angle in angles]
@@ -195,7 +197,7 @@ def _factors_at(joint: str, wearers, settings: DesignSettings) -> list[str]:
 
 
 def _angles(joint: str, wearers, count: int) -> np.ndarray:
-    """Whole degrees (k,) over the range that a joint moves in."""
+    """Whole degrees (k,), evenly over the range of a joint's angle."""
     seen = [t.coordinate(joint) for w in wearers for t in w.trials]
     lower, upper = (
         float(np.rad2deg(f([f(x) for x in seen]))) for f in (min, max)
@@ -205,7 +207,7 @@ def _angles(joint: str, wearers, count: int) -> np.ndarray:
 
 
 def _along(cuff: str, wearers, wanted) -> tuple[float, float]:
-    """How far a cuff may go along the limb of every wearer [m]."""
+    """Bounds on a cuff's shift along the limb, for all wearers [m]."""
     lower, upper = wanted
     for wearer in wearers:
         segment = without_side(wearer.model.tree.cuffs[cuff][0])
@@ -214,7 +216,7 @@ def _along(cuff: str, wearers, wanted) -> tuple[float, float]:
         if segment in CUFFED:
             lowest = _FROM_JOINT_M
             highest = getattr(human, segment).length_m - _FROM_JOINT_M
-        else:  # a foot lies across
+        else:  # a foot has no length along its z: from the sole to the ankle
             lowest, highest = -human.ankle_height_m, 0.0
         lower = max(lower, min(lowest - place, 0.0))
         upper = min(upper, max(highest - place, 0.0))
@@ -222,7 +224,7 @@ def _along(cuff: str, wearers, wanted) -> tuple[float, float]:
 
 
 def joints_below(model: Model, cuff: str) -> list[str]:
-    """Joints that move a cuff's link if they are moved themselves."""
+    """Joints that displace a cuff's link if their own place is moved."""
     _, link = model.tree.cuffs[cuff]
     return [j for j in movable(model) if link in links_above(model, j)]
 
@@ -233,7 +235,7 @@ def design_of(
     """The design that values of all variables make.
 
     Args:
-        values: by name.
+        values: value of each variable by name.
         without: cuffs that are left out.
     """
     cuffs: dict[str, dict] = {cuff: {"removed": True} for cuff in without}
@@ -261,13 +263,13 @@ def design_of(
 
 
 def is_assistance(name: str) -> bool:
-    """Whether a variable is of what a joint of the device gives."""
+    """Whether a variable changes the torque of one of the device's joints."""
     what = name.partition(".")[2]
     return what.startswith(FACTOR) or what in GAINS
 
 
 def assistance_of(factors: Mapping[str, float]) -> Assistance | Gains:
-    """Of one joint, by what its variables' names end with."""
+    """A joint's assistance, from its variables by the end of their names."""
     if set(factors) <= set(GAINS):
         return Gains(**factors)
     values = tuple(factors.values())

@@ -1,10 +1,10 @@
-"""What is known to go wrong in measured signals, as unknowns of a phase.
+"""Systematic errors of measurement as unknowns of a phase.
 
-A measured signal is the true one plus effects that are linear in a few
-unknown sizes: skin that slides, encoders with an offset, mats that see a part
-of the force, clocks that lag. The sizes are estimated with the contact, each
-with a prior of its own; an effect is the same size at every node, so that
-what it does to a signal is correlated as it is in truth.
+A measured signal is the true one plus effects that are linear in a few unknown
+sizes: skin that slides, encoders with an offset, mats that measure only part of
+the force, clocks that lag. The sizes are estimated with the contact, each with
+a prior. An effect has one size at all nodes, so that errors of a signal are
+correlated in time as they are in reality.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.plant import Model
 
 _DIFFERENCE = 1e-4  # of an unknown, relative to 1 rad/rad
-# System of a trial -> what its clock is called among the unknowns.
+# System of a trial -> name of its clock among the unknowns.
 CLOCKS = {"encoders": "encoder_clock", "pressure": "mat_clock"}
 
 
@@ -61,19 +61,20 @@ class ErrorSizes:
     mat_clock_s: float = not_negative("s", 0.03)
 
 
-# Of instruments that are perfect but for noise.
+# For instruments without any errors but noise.
 NO_ERRORS = ErrorSizes(*[0.0] * len(fields(ErrorSizes)))
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """Size of one error.
+    """Unknown size of one error.
 
     Attributes:
-        name: such as "skin.thigh.knee"; a trial's own begins with its name.
-        unit: of the size.
-        sd: of its prior, whose mean is 0.
-        trial: that it belongs to; None where all share it.
+        name: such as "skin.thigh.knee"; begins with the trial's name if it is
+            of one trial only.
+        unit: unit of the size.
+        sd: standard deviation of its prior, whose mean is 0.
+        trial: the trial it belongs to; None if all share it.
     """
 
     name: str
@@ -87,9 +88,9 @@ class Effects:
     """Change of measured signals by m unknowns of size 1.
 
     Attributes:
-        q, v: (n, nq, m).
-        moments: (n, n_joints, m).
-        normal: cuff -> (n, m).
+        q, v: (n, nq, m) coordinates and velocities.
+        moments: (n, n_joints, m) joint moments [N m].
+        normal: cuff -> (n, m) normal force [N].
     """
 
     q: np.ndarray
@@ -99,16 +100,16 @@ class Effects:
 
 
 class ErrorModel:
-    """Unknown errors of some trials, and what they do.
+    """Unknown errors of some trials, and their effects on signals.
 
     Args:
         model: subject and device.
         trials: measured.
-        sizes: priors.
-        known: what a calibration knows of those that trials share.
+        sizes: standard deviations of the priors.
+        known: posterior of a calibration, prior of errors that trials share.
 
     Attributes:
-        unknowns: all of them, in the order of effects' last axis.
+        unknowns: all unknowns, in the order of effects' last axis.
     """
 
     def __init__(
@@ -153,7 +154,7 @@ class ErrorModel:
 
     @property
     def names(self) -> list[str]:
-        """Of the unknowns."""
+        """Names of the unknowns."""
         return [u.name for u in self.unknowns]
 
     def prior(self) -> tuple[np.ndarray, np.ndarray]:
@@ -168,7 +169,7 @@ class ErrorModel:
         return mean, covariance
 
     def effects(self, at: Trial) -> Effects:
-        """What each unknown does to the signals of a trial."""
+        """Effect of each unknown on the signals of a trial."""
         names = self._model.coordinates
         m, n = len(self.unknowns), len(at.times)
         q, v, a = np.zeros((3, n, len(names), m))
@@ -182,7 +183,7 @@ class ErrorModel:
             if unknown.trial not in (None, at.name):
                 continue
             kind, *rest = unknown.name.split(".")
-            if unknown.trial is not None:  # whatever the trial is called
+            if unknown.trial is not None:  # a trial's name may hold dots
                 kind = rest[-1]
             if kind in ("skin", "bend"):
                 segment, joint = rest
@@ -208,7 +209,8 @@ class ErrorModel:
             elif kind == "encoder_clock":
                 q[:, device, k] = -at.v[:, device]
                 v[:, device, k] = -at.a[:, device]
-                # Recorded with the angles, or a function of them.
+                # The device's moments lag alike: recorded with its angles, or
+                # computed from them.
                 if at.moments is not None:
                     exo = at.moments[:, names.is_device_joint]
                     moments[:, :, k] = shared_moments(
@@ -220,7 +222,7 @@ class ErrorModel:
         return Effects(q, v, moments, normal)
 
     def _moments(self, at: Trial, q, v, a, k) -> np.ndarray:
-        """Change (n, n_joints) of the human's moments by skin that slides."""
+        """Change (n, n_joints) of the human's moments by sliding skin (k)."""
         tree, names = self._model.rigid.tree, self._model.coordinates
         body = names.body_columns
         loads = at.loads(tree.root)
@@ -241,7 +243,7 @@ class ErrorModel:
 
 
 def _is_unknown(trial: Trial, system: str) -> bool:
-    """Whether a clock lags by what no study says; of a recording's own."""
+    """Whether a clock's lag is unknown: the study did not give it."""
     said = trial.provenance
     return "delays_s" not in said or system in said.get("clocks", {})
 
@@ -249,14 +251,14 @@ def _is_unknown(trial: Trial, system: str) -> bool:
 def shared_moments(
     names: Coordinates, change: np.ndarray, joint: str | None = None
 ) -> np.ndarray:
-    """Change (n, n_joints) by one of the device's moments (n, joints).
+    """Change (n, n_joints) of all moments by the device's (n, m) [N m].
 
-    What the device bears more the human bears less.
+    The human's moments decrease by what the device's increase.
 
     Args:
-        names: of the coordinates.
-        change: of the device's moments [N m].
-        joint: of the device, if it is one alone.
+        names: names of the coordinates.
+        change: change of the device's moments.
+        joint: the only device joint whose change counts; all by default.
     """
     found = np.zeros((len(change), names.num_joints))
     human = ~names.is_device_joint
@@ -268,7 +270,7 @@ def shared_moments(
 
 
 def _squared(f, rate, acceleration):
-    """f^2 with its two derivatives."""
+    """f^2 with its first and second time derivative."""
     return f * f, 2.0 * f * rate, 2.0 * (rate * rate + f * acceleration)
 
 

@@ -1,9 +1,9 @@
-"""The phases posed: contact calibrated (A, B), movements predicted (C).
+"""Phases A and B (calibration) and C (prediction) posed as programs.
 
-Serrancoli et al., II-C; docs/method.md says what each tracks, minimises and
-holds. In Phase A human and exoskeleton do not touch. Where nothing was measured
-"comfort" tracks nothing in Phase C, nor does a periodic step of two legs: what
-ends with left and right exchanged as it began could go on for ever.
+After Serrancoli et al., II-C; docs/method.md says what each tracks, minimises
+and constrains. In Phase A human and exoskeleton do not touch. In Phase C the
+objective "comfort" tracks nothing, nor does `PeriodicStep`, a step that ends in
+the mirrored state in which it began and so can be repeated for ever.
 """
 
 from collections.abc import Mapping, Sequence
@@ -60,9 +60,9 @@ class FootGroundCalibration(PhaseProblem):
         model: subject and device.
         trials: measured.
         settings: noise, bounds, grid.
-        parameters: to calibrate; by default those of the settings, with an
-            empty list none.
-        ground: known contact of a sole; then nothing is calibrated.
+        parameters: to calibrate; the settings' by default; an empty list
+            calibrates none.
+        ground: known contact of a sole; then no parameters are calibrated.
         refined: finer intervals, see `PhaseProblem`.
 
     >>> from drake_exo.virtual_laboratory import synthetic
@@ -92,7 +92,7 @@ class FootGroundCalibration(PhaseProblem):
         else:
             check_type(ground, GroundContact, "ground")
             contact, parameters = ContactModel(ground), []
-        if not parameters:  # of a contact that is known, too
+        if not parameters:  # PhaseProblem sets the jerk only with parameters
             contact = replace(contact, jerk=typical_jerk(trials))
         super().__init__(
             model, trials, contact, parameters, settings, refined=refined
@@ -111,15 +111,15 @@ FRONT_KINDS = ("angles_deg", "velocities_deg_s", "grf_n", "cop_mm")
 
 
 def pareto_front(result: PhaseResult) -> list[dict]:
-    """Calibrate again with the noise of forces scaled by factors.
+    """Calibrate again with the noise of ground reaction and CoP scaled.
 
     Args:
-        result: of Phase A with the settings as they stand, which name the
-            factors.
+        result: Phase A's with unscaled noise; its settings' `front_factors` are
+            used.
 
     Returns:
-        One row for each factor: factor, success, and of each of FRONT_KINDS the
-        mean and the worst RMSD; fewer where the user stops a solve.
+        One row for each factor: factor, success, and for each of FRONT_KINDS
+        mean and worst RMSD; fewer rows if the user stops a solve.
     """
     rows = []
     factors = result.problem.settings.front_factors
@@ -181,8 +181,7 @@ class InteractionCalibration(PhaseProblem):
     Args:
         model: subject and device.
         trials: measured.
-        contact: of foot and ground, calibrated; what it knows of bushings is
-            not used.
+        contact: calibrated for foot and ground; its bushings are not used.
         settings: noise, bounds, grid.
         refined: finer intervals, see `PhaseProblem`.
 
@@ -246,7 +245,7 @@ class InteractionCalibration(PhaseProblem):
 
 
 def check_has_cuffs(model: Model) -> None:
-    """Raises InputError if there is nothing to interact with."""
+    """Raises InputError if the model has no cuffs."""
     if not model.cuffs:
         raise InputError(
             "the study's model has no exoskeleton with cuffs; say "
@@ -273,8 +272,8 @@ def check_knows_cuffs(contact: ContactModel, model: Model) -> None:
 def check_is_measured(trials: Sequence[Trial]) -> None:
     """Raises InputError if nothing of the device was measured, or no angles.
 
-    Without angles, moments and mats there is nothing that cuffs could be
-    calibrated with, without angles nothing that tells how they are strained.
+    Cuffs are calibrated with the device's angles, moments or mats; without
+    angles it is not known how far they are deflected.
     """
     if not any(map(saw_device, trials)):
         raise InputError(
@@ -290,8 +289,8 @@ def check_is_measured(trials: Sequence[Trial]) -> None:
         )
 
 
-# An end counts as a second of tracking does: noise of a signal is one size
-# for about that long.
+# Weight of tracking an end state, as seconds of tracking: about as long as
+# noise of a signal stays the same.
 END_WEIGHT_S = 1.0
 _TOES_RAD = np.deg2rad(3.0)
 
@@ -301,14 +300,14 @@ class PredictionProblem(PhaseProblem):
 
     Args:
         model: subject and device.
-        trials: their kinematics serve for the end states and duration, and
-            are compared with, not tracked.
+        trials: their kinematics give end states and duration; they are
+            compared with the prediction, not tracked.
         contact: calibrated.
         settings: objective, noise, grid.
-        controller: gives the exoskeleton's torques; None where they are
-            measured (tracked) or free.
-        answers: trial -> how the torques of springs change where the device
-            moves otherwise than it did; without an entry they do not.
+        controller: gives the exoskeleton's torques; None if they are measured
+            (tracked) or free.
+        answers: trial -> how springs' torques change if the device moves
+            otherwise than measured; trials not named have none.
         refined: finer intervals, see `PhaseProblem`.
 
     >>> from drake_exo.virtual_laboratory import synthetic
@@ -317,8 +316,8 @@ class PredictionProblem(PhaseProblem):
     >>> sorted(posed.bushings)
     ['pelvis', 'shank', 'thigh']
 
-    What is added to the program counts in the next `solve`, whose `values` are
-    those of all its variables:
+    What is added to the program counts in the next `solve`; its `values` are
+    those of all program variables:
 
     >>> (rise,) = posed.movements
     >>> knee = rise.grid.q[:, rise.coordinates.index("knee")]
@@ -329,13 +328,13 @@ class PredictionProblem(PhaseProblem):
     True
 
     Raises:
-        InputError: the model has cuffs, but the contact knows nothing of
-            them; or the controller cannot be used.
+        InputError: the model has cuffs that the contact lacks; or the
+            controller cannot be used.
         ValueError: the settings ask for other ends, see `PeriodicStep`.
     """
 
     ends = "measured"
-    # What no kinematics hold swings on its cuffs: smoother.
+    # A device whose motion is not tracked would swing on its cuffs: less jerk.
     jerk_share = 0.5
 
     def __init__(
@@ -379,7 +378,7 @@ class PredictionProblem(PhaseProblem):
         )
 
     def _posed(self, trials, settings: PredictionSettings):
-        """The trials, as they are posed."""
+        """The trials as they enter the program."""
         return trials
 
     def _terms(self, movement, at, effects):
@@ -401,7 +400,7 @@ class PredictionProblem(PhaseProblem):
 
     @property
     def _end_reach(self) -> float:
-        # Without errors of measurement nothing else holds them.
+        # Without unknown errors end states are given: nothing else fixes them.
         return 0.0 if self.error_variables is None else super()._end_reach
 
     def _hold_ends(self, movement: TrialProgram, at: Trial) -> None:
@@ -409,7 +408,7 @@ class PredictionProblem(PhaseProblem):
         effects = self._effects(at)
         if effects is None and len(self.feet) == 1:
             return
-        # Where feet and joints are free, so are the ends between them.
+        # Joints are bounded only loosely then: the ends are tracked as well.
         at_ends = np.zeros(len(at.times))
         at_ends[[0, -1]] = END_WEIGHT_S
         movement.add_tracking_cost(
@@ -459,10 +458,10 @@ class PredictionProblem(PhaseProblem):
 
 
 def _held_toes(movement: TrialProgram, at: Trial) -> list[Tracking]:
-    """Hinged toes near the line between their ends.
+    """Tracking of hinged toes near the line between their end angles.
 
-    They weigh next to nothing and how a plate's force is shared with them is
-    not known: without this they would flutter.
+    They weigh next to nothing, and their share of a plate's force is not known:
+    they would flutter otherwise.
     """
     toes = [n for n in at.coordinates.joints if n.startswith("toes")]
     if not toes:
@@ -473,8 +472,8 @@ def _held_toes(movement: TrialProgram, at: Trial) -> list[Tracking]:
     return [Tracking(movement.grid.q[:, columns], line, _TOES_RAD)]
 
 
-# How far joints turn where nothing else says so, as the American Academy of
-# Orthopaedic Surgeons tells it; ankles bend further under load.
+# Ranges of the joints in a periodic step (American Academy of Orthopaedic
+# Surgeons); ankles bend further under load.
 _RANGES_DEG = {
     "hip": (-30.0, 120.0),
     "knee": (0.0, 140.0),
@@ -488,7 +487,7 @@ class PeriodicStep(PredictionProblem):
 
     Args:
         model: subject and device.
-        trials: where the search starts, and how long each step lasts.
+        trials: initial guess and duration of each step.
         contact: calibrated.
         settings: speed, clearance, bounds, effort, grid.
 
@@ -517,7 +516,7 @@ class PeriodicStep(PredictionProblem):
         ahead = np.zeros(len(names))
         ahead[x] = speed * at.duration
         movement.bound(grid.q[0, [x]], at.q[0, [x]], at.q[0, [x]])
-        # The root's accelerations follow from all else.
+        # The root's accelerations follow from the other mirrored states.
         for what, values, rows, gain in (
             ("positions", grid.q, slice(None), ahead),
             ("velocities", grid.v, slice(None), 0.0),
@@ -561,13 +560,13 @@ class PeriodicStep(PredictionProblem):
 
 
 def _speed(trial: Trial) -> float:
-    """Mean speed ahead of its root [m/s]."""
+    """Mean forward speed of the root [m/s]."""
     x, *_ = trial.coordinates.root_columns
     return (trial.q[-1, x] - trial.q[0, x]) / trial.duration
 
 
 def _loads_at(speed_m_s: float, trial: Trial) -> Trial:
-    """A step whose loads go along with a person who goes at another speed."""
+    """A step whose applied loads move with a person of another speed."""
     ahead = (speed_m_s - _speed(trial)) * (trial.times - trial.times[0])
     moved = {body: w.shifted(ahead) for body, w in trial.applied.items()}
     return replace(trial, applied=moved)
@@ -576,11 +575,11 @@ def _loads_at(speed_m_s: float, trial: Trial) -> Trial:
 def mirrored(names: Coordinates) -> np.ndarray:
     """Matrix (nq, nq) that exchanges left and right.
 
-    A joint of the device may count the other way than that of its other side.
+    A device joint's sign may be opposite to that on the other side.
 
     Raises:
-        InputError: a coordinate has no other side, or turns with other joints
-            of the person than its other side does.
+        InputError: a coordinate has no counterpart, or a device joint's is
+            beside other joints of the person.
     """
     other = {"left": "right", "right": "left"}
     found = np.zeros((len(names), len(names)))
@@ -609,12 +608,12 @@ def mirrored(names: Coordinates) -> np.ndarray:
 
 
 def _middle(free: np.ndarray, times: np.ndarray, step: float) -> np.ndarray:
-    """Nodes in the middle half of the longest time without load.
+    """Indices of nodes in the middle half of the longest time without load.
 
     Args:
-        free: (n,) nodes without load.
-        times: (n,) of the nodes [s].
-        step: between nodes where the grid is not refined [s].
+        free: (n,) whether a node is without load.
+        times: (n,) times of the nodes [s].
+        step: interval of the grid before refinement [s].
     """
     spans = [(times[a], times[b - 1]) for a, b in runs(free)]
     counts = [round((end - start) / step) + 1 for start, end in spans]

@@ -1,4 +1,4 @@
-"""What the phases share: a program, its trials, solving and reading it."""
+"""Base of all phases: posing trials as one program, solving, reading it."""
 
 import time
 from abc import ABC, abstractmethod
@@ -45,11 +45,11 @@ from drake_exo.nlp.sparse import SparseProgram
 
 Parts = np.ndarray | int
 _NUM_ORIGIN = sum(name.startswith("origin") for name in CALIBRATED)
-# Bounds that no sound end state reaches: rates within what that is a second
-# [rad, rad/s].
+# Bounds on joints' end states about the measured ones, in a device: so wide
+# that only faults reach them [rad, rad/s].
 _END_REACH = 0.3
-# Noise of a swinging leg's moments, of what it is while the foot bears the
-# body; and how long before and after swing it is not yet so small.
+# Noise of a swinging leg's moments, as a share of its value while the foot
+# bears the body; and for how long around stance the larger value is kept.
 _IN_SWING, _SMEARED_S = 0.03, 0.1
 _LONGEST_S = 120.0
 _MOST_NODES = 24_000  # some 10 GB
@@ -57,12 +57,13 @@ _MOST_NODES = 24_000  # some 10 GB
 
 @dataclass(frozen=True)
 class PhaseResult:
-    """What a phase found; numbers of a failed solve raise until `unseal`.
+    """Result of a phase; reading a failed one raises, see `unsealed`.
 
     Attributes:
-        problem: that was solved.
+        problem: the problem that was solved.
         solution: state of the solve.
-        compiled: what was solved: its program may be added to afterwards.
+        compiled: the program as solved; `problem.program` may have been added
+            to since.
     """
 
     problem: "PhaseProblem"
@@ -75,12 +76,12 @@ class PhaseResult:
         return self.solution.success
 
     def unsealed(self) -> "PhaseResult":
-        """The same with a solution that may be read although it failed."""
+        """A copy that may be read even if the solve failed."""
         return replace(self, solution=replace(self.solution).unseal())
 
     @cached_property
     def values(self) -> np.ndarray:
-        """All program variables.
+        """All program variables (num_vars,).
 
         This and what follows raises SealedSolutionError after a failed solve.
         """
@@ -88,12 +89,12 @@ class PhaseResult:
 
     @cached_property
     def parameters(self) -> list[ContactParameter]:
-        """Calibrated ones with their value as nominal."""
+        """Calibrated parameters, with the value found as `nominal`."""
         return self.problem.parameters_at(self.values)
 
     @cached_property
     def contact(self) -> ContactModel:
-        """The contact with those values."""
+        """The contact with the calibrated values."""
         found = {p.name: p.nominal for p in self.parameters}
         return self.problem.contact.with_values(found)
 
@@ -110,7 +111,7 @@ class PhaseResult:
 
     @cached_property
     def grounds(self) -> list[np.ndarray]:
-        """Of each trial, ground reaction (n, 3 k) of the k segments that touch.
+        """Each trial's ground reaction (n, 3 k) on the k segments that touch.
 
         Side by side, in the order of `problem.soles`.
         """
@@ -123,10 +124,10 @@ def solved(
     why: str,
     on_iterate: Callable[[Iterate], None] | None = None,
 ) -> PhaseResult:
-    """What a phase found, where nothing can go on without.
+    """Solve a phase whose result is indispensable.
 
     Raises:
-        InputError: it says why, where there is none.
+        InputError: the solve failed; the sentence begins with `why`.
         KeyboardInterrupt: the user stopped it.
     """
     result = problem.solve(on_iterate=on_iterate)
@@ -140,12 +141,12 @@ def solved(
 
 
 class Compiles:
-    """What poses movements in a program, for a sparse solver.
+    """Base of problems: compiles their program for the sparse solver.
 
     Attributes:
-        program: with all of its movements.
-        movements: of all trials.
-        settings: with `solver`.
+        program: program with all movements.
+        movements: movement of each trial.
+        settings: settings with `solver`.
         build_seconds: time to pose and compile.
     """
 
@@ -153,9 +154,9 @@ class Compiles:
 
     @cached_property
     def compiled(self) -> SparseProgram:
-        """The sparse problem, as the solver sees it.
+        """The sparse problem that the solver sees.
 
-        Of the program as it is when first asked for, and at each solve.
+        Made when first asked for; `compiled_anew` makes it again for a solve.
         """
         solver = self.settings.solver
         start = time.perf_counter()
@@ -172,10 +173,10 @@ class Compiles:
         return compiled
 
     def compiled_anew(self) -> SparseProgram:
-        """The same for a solve, of the program as it is now.
+        """`compiled` for a solve, of the program as it is now.
 
-        Counts tell what was added. What was replaced, or given other bounds
-        or coefficients, nothing tells: it is made once for each solve.
+        Counts show whether something was added, but not whether bounds or
+        coefficients were changed: so each solve after the first compiles anew.
         """
         if self.program.counts != self._compiled_for:
             vars(self).pop("compiled", None)
@@ -189,29 +190,29 @@ class PhaseProblem(Compiles, ABC):
     Args:
         model: subject and device.
         trials: measured.
-        contact: of the foot and, where they touch, of the cuffs. Values of
-            `parameters` take the place of its own.
-        parameters: of the contact that are calibrated; the others are known.
+        contact: of the foot and, if human and device touch, of the cuffs;
+            values of `parameters` replace its own.
+        parameters: those of the contact that are calibrated.
         settings: of the phase, with solver and noise.
-        errors: sizes of what goes wrong in measurement, if anything.
-        known: what a calibration knows of such errors.
-        refined: trial -> into how many parts each interval of the grid that
-            the solver's settings say is split, or one number for all; of
-            these trials what alternates is damped.
-        program: to add to; a new one by default.
+        errors: prior sizes of unknown errors of measurement; None: no such.
+        known: posterior of a calibration with such errors.
+        refined: trial -> number of parts into which each interval of the
+            settings' grid is split, or one number for all; in these trials
+            jerk that alternates from node to node is damped.
+        program: program to add to; a new one by default.
 
     Attributes:
         program: `program.prog` is a MathematicalProgram that may be added to
             before `solve`.
         movements: one for each trial.
         soles: segment that touches the ground -> its spheres' names.
-        kernels: such a segment -> law under it.
-        bushings, laws: cuff -> geometry and law.
+        kernels: such a segment -> contact law under it.
+        bushings, laws: cuff -> geometry, and law of its force.
         build_seconds: time to pose and compile; a solve adds that of its
             guess and checks.
     """
 
-    # Of the typical jerk, what a movement's costs.
+    # Typical size of jerk in the cost, as a share of the contact's.
     jerk_share = 1.0
 
     def __init__(
@@ -232,7 +233,7 @@ class PhaseProblem(Compiles, ABC):
         self.trials = list(as_trials(trials))
         nodes_per_second = settings.solver.nodes_per_second
         _check_trials(self.trials, model, nodes_per_second)
-        if parameters:  # calibrated on these
+        if parameters:  # calibrated on these trials
             contact = replace(contact, jerk=typical_jerk(self.trials))
         self.contact = contact = _in_order(contact, model)
         self.parameters = parameters
@@ -288,22 +289,23 @@ class PhaseProblem(Compiles, ABC):
             [u.name for u in unknowns], [u.sd for u in unknowns]
         )
         names, mean, covariance = self._prior()
-        # Drake's cost has no half.
+        # AddQuadraticErrorCost has no factor 1/2.
         weight = 0.5 * np.linalg.inv(covariance)
         both = np.r_[self.variables_of(names), variables]
         prog.AddQuadraticErrorCost(weight, mean, both)
         return variables
 
     def _prior(self) -> tuple[list[str], np.ndarray, np.ndarray]:
-        """What is known before: of parameters by name, then of the errors.
+        """Prior of some parameters and of all unknown errors together.
 
         Returns:
-            Names, mean (m,) and covariance (m, m) of both together.
+            Names of the parameters; mean (m,) and covariance (m, m) of them,
+            followed by the errors.
         """
         return [], *self.errors.prior()
 
     def _effects(self, at: Trial) -> Effects | None:
-        """What the unknown errors do to a trial's signals."""
+        """Effects of the unknown errors on a trial's signals, if any."""
         if self.error_variables is None:
             return None
         return self.errors.effects(at)
@@ -320,18 +322,17 @@ class PhaseProblem(Compiles, ABC):
         return every[[known.index(name) for name in names]]
 
     def _hold_ends(self, movement: TrialProgram, at: Trial) -> None:
-        """Initial and final states near the measured ones (II-C).
+        """Bound initial and final states near the measured ones (II-C).
 
-        They are measured like all others, and are estimated where the errors
-        of measurement are: with a device. Given exactly there, they throw the
-        foot into a motion that dies out within milliseconds, which no grid
-        follows. A human alone is calibrated and predicted from them as they
-        are: real rises are predicted better so (hip 1.5 for 4.5 degrees).
+        With a device they are estimated, like the errors of measurement. Given
+        exactly, they would throw the foot into a motion that dies out within
+        milliseconds, which no grid follows. For a human alone the joints' are
+        given: real rises are predicted better so (hip 1.5 for 4.5 degrees).
         """
         grid, joints = movement.grid, movement.coordinates.joint_columns
         reach = rate = self._end_reach
         if len(self.feet) > 1:
-            # Two feet and the joints between them cannot all be given.
+            # Given feet and joints between them would contradict each other.
             pitch = np.deg2rad(self.settings.end_tolerance.pitch_deg)
             reach, rate = max(reach, pitch), np.inf
         for i in (0, -1):
@@ -371,7 +372,7 @@ class PhaseProblem(Compiles, ABC):
             contact: gives the spheres.
             body: the segment.
             q, v: (n, nq).
-            wrench: (n, 3) that is held against the law's; zero by default.
+            wrench: (n, 3) to compare with the law's; zero by default.
         """
         pose = PoseKernel(self.tree, body).poses(q, v)
         values = self.sphere_values(contact, body).ravel()
@@ -387,7 +388,7 @@ class PhaseProblem(Compiles, ABC):
         movement.add_tracking_cost(terms, self.error_variables)
         movement.add_jerk_cost(self.jerk)
         if movement.is_tracked and movement.name in self.refined:
-            # From the start it would lead a step to other optima.
+            # Only here: on the first grid it would lead to other optima.
             movement.damp()
         return movement
 
@@ -395,23 +396,23 @@ class PhaseProblem(Compiles, ABC):
     def _terms(
         self, movement: TrialProgram, at: Trial, effects: Effects | None
     ) -> list[Tracking]:
-        """What is tracked of a trial, or minimised.
+        """Terms of the cost: what is tracked or minimised in a trial.
 
         Args:
-            movement: its variables.
-            at: measured, at the nodes.
-            effects: of the unknown errors.
+            movement: the trial's variables.
+            at: the measured trial at the nodes.
+            effects: effects of the unknown errors on it.
         """
 
     # Kernel of the equations of motion.
     equations = DynamicsKernel
 
     def moving(self, cuff: str) -> Sequence[tuple[int, complex]]:
-        """What moves the device's frame, see BushingKinematics."""
+        """Inputs that displace the device's frame, see BushingKinematics."""
         return ()
 
     def places(self, cuff: str) -> np.ndarray:
-        """Decision variables of where a cuff is, see BushingKinematics."""
+        """Decision variables of a cuff's place, see BushingKinematics."""
         return self._variables[cuff][:_NUM_ORIGIN]
 
     def _movement(self, trial: Trial) -> TrialProgram:
@@ -452,11 +453,11 @@ class PhaseProblem(Compiles, ABC):
 
         Args:
             movement: the trial.
-            components: cuff -> its components, see `bushing.COMPONENTS`.
+            components: cuff -> indices of components in `bushing.COMPONENTS`.
             sigma: typical energy [J].
         """
         grid = movement.grid
-        # The integral's weights belong inside the square.
+        # Residuals are squared: each is scaled by the root of its weight.
         used = grid.quadrature > 0.0
         for cuff, chosen in components.items():
             if not chosen:
@@ -470,10 +471,10 @@ class PhaseProblem(Compiles, ABC):
             )
 
     def guess(self, values: np.ndarray | None = None) -> np.ndarray:
-        """Program variables near the data, with the foot settled.
+        """Program variables (num_vars,) near the data, with the foot settled.
 
         Args:
-            values: of `parameters`; nominal ones by default.
+            values: values of `parameters`; nominal ones by default.
         """
         if values is None:
             values = [p.nominal for p in self.parameters]
@@ -491,10 +492,10 @@ class PhaseProblem(Compiles, ABC):
         return x
 
     def guess_from(self, found: PhaseResult) -> np.ndarray:
-        """Program variables near a solution on another grid, or like it.
+        """Program variables from a solution on another or the same grid.
 
-        Motion follows the polynomials of its grid: a finer one that has all of
-        its nodes starts at the very same motion.
+        Motion is interpolated by the polynomials of the solution's grid: a
+        finer grid with all of its nodes starts from exactly the same motion.
         """
         x = self.program.start()
         # Parameters and errors come before all movements, in both programs.
@@ -527,11 +528,11 @@ class PhaseProblem(Compiles, ABC):
         return x
 
     def _start(self, movement: TrialProgram, trial: Trial) -> Trial:
-        """Motion that the guess follows."""
+        """Motion from which the guess is made, at the nodes."""
         return trial.sample(movement.grid.times)
 
     def _settle(self, x, movement: TrialProgram, at: Trial, contact) -> None:
-        """Variables of one trial, so that the equations of motion hold."""
+        """Set a trial's variables in x so that the equations of motion hold."""
         start = settled(self, movement, at, contact)
         q, v, a = start.q, start.v, start.a
         forces = self.tree.inverse_dynamics(q, v, a)
@@ -549,7 +550,7 @@ class PhaseProblem(Compiles, ABC):
         self._fill(x, movement, (q, v, a), forces[:, joints], ground, cuffs)
 
     def _cuff_at(self, x, cuff: str, q, contact: ContactModel):
-        """A cuff's springs at q (n, nq), at the places that x holds.
+        """A cuff's deflection and spring force at q (n, nq), placed as in x.
 
         Returns:
             Deflection (n, 3) [m, m, rad], force (n, 3) [N, N, N m], and the
@@ -568,15 +569,15 @@ class PhaseProblem(Compiles, ABC):
         )
 
     def _fill(self, x, movement: TrialProgram, motion, moments, ground, cuffs):
-        """Variables of one trial.
+        """Set the variables of one trial in x.
 
         Args:
             x: all program variables.
             movement: the trial.
             motion: q, v, a, each (n, nq), at its nodes.
             moments: (n, nj) of the joints [N m].
-            ground: (n, 3 k) on the k segments that touch.
-            cuffs: cuff -> force (n, 3).
+            ground: (n, 3 k) wrenches on the k segments that touch the ground.
+            cuffs: cuff -> force (n, 3) [N, N, N m].
         """
         grid = movement.grid
         q, v, a = motion
@@ -600,16 +601,16 @@ class PhaseProblem(Compiles, ABC):
         on_iterate: Callable[[Iterate], None] | None = None,
         near: PhaseResult | None = None,
     ) -> PhaseResult:
-        """Check, solve and collect.
+        """Check the guess, solve, and collect the result.
 
         Args:
             guess: program variables to start from; `guess()` by default.
             on_iterate: called once for each iteration.
-            near: a solution on another grid, or of another contact, to start
+            near: solution on another grid, or with another contact, to start
                 from instead.
 
         Raises:
-            InputError: from the pre-flight check.
+            InputError: see `infeasibility.check`.
         """
         if near is not None:
             check_type(near, PhaseResult, "near")
@@ -626,7 +627,7 @@ class PhaseProblem(Compiles, ABC):
             if p.free and lower[i] < upper[i]
         }
         if near is not None:
-            free = {}  # where a solution led them, some may move nothing
+            free = {}  # at a solution some parameters may have no influence
         infeasibility.check(problem, guess, free)
         prepared = time.perf_counter() - start
         if solver.solver == "drake":
@@ -639,7 +640,7 @@ class PhaseProblem(Compiles, ABC):
         return self.result(solution)
 
     def result(self, solution: Solution) -> PhaseResult:
-        """What a solution of the program says; sealed if it failed."""
+        """The phase's result of a solution; sealed if the solve failed."""
         found = self.parameters_at(solution.raw_values())
         solution.active_bounds = [
             p.name for p in found if p.free and p.at_bound(p.nominal)
@@ -647,7 +648,7 @@ class PhaseProblem(Compiles, ABC):
         return PhaseResult(self, solution, self.compiled)
 
     def parameters_at(self, x: np.ndarray) -> list[ContactParameter]:
-        """Calibrated parameters with their values among program variables."""
+        """Calibrated parameters with their values in x as `nominal`."""
         found = x[self.program.indices(self.parameter_variables)]
         return [
             replace(p, nominal=float(np.clip(value, p.lower, p.upper)))
@@ -655,11 +656,11 @@ class PhaseProblem(Compiles, ABC):
         ]
 
     def read(self, movement: TrialProgram, trial: Trial, x) -> Trial:
-        """A trial's solution; what acted on it is as measured.
+        """A trial's solution, with chair and applied loads as measured.
 
         Args:
-            movement: of the program.
-            trial: as measured.
+            movement: the trial's variables.
+            trial: the measured trial.
             x: all program variables.
         """
 
@@ -705,13 +706,13 @@ class PhaseProblem(Compiles, ABC):
 def _check_trials(
     trials: list[Trial], model: Model, nodes_per_second: float
 ) -> None:
-    """Refuse trials that a program cannot be made of.
+    """Refuse trials that no program can be made of.
 
     Raises:
         InputError: two are the same movement; one is of another model, does
-            not start at 0, holds what is no number, turns round, is too long
-            for so many nodes, or has a cuff, a foot or a segment that the
-            model has not.
+            not start at 0, holds NaN or infinity, has an angle beyond 2 pi, is
+            too short, too long or has too many nodes, has a cuff, a foot or a
+            segment that the model lacks, or lacks the force under a foot.
     """
     own = model.coordinates
     for k, trial in enumerate(trials):
@@ -781,9 +782,8 @@ def _check_trials(
 def typical_jerk(trials: Sequence[Trial]) -> float:
     """Three times the RMS of the human joints' jerk in some trials [rad/s^3].
 
-    So large that what is measured at all is hardly pulled, and small enough
-    that a device does not swing on its cuffs. Of trials that keep still, that
-    of a brisk rise.
+    Large enough that measured motion is hardly distorted, small enough that a
+    device does not swing on its cuffs. A brisk rise's if trials keep still.
     """
     rows = []
     for trial in trials:
@@ -822,7 +822,7 @@ def _in_order(contact: ContactModel, model: Model) -> ContactModel:
 
 
 def _borne(tree, trial: Trial) -> AppliedWrench | None:
-    """The chair of a trial that starts seated, and what is carried."""
+    """Chair and carried loads of a trial as one applied wrench, if any."""
     parts = [(shares, wrench.array) for shares, wrench in trial.borne()]
     return AppliedWrench(tree, trial.times, parts) if parts else None
 
@@ -830,7 +830,7 @@ def _borne(tree, trial: Trial) -> AppliedWrench | None:
 def bound_feet(
     movement: TrialProgram, at: Trial, tolerance: EndTolerance
 ) -> None:
-    """Keep feet within a tolerance at both ends (II-C)."""
+    """Bound the feet's pose within a tolerance at both ends (II-C)."""
 
     def or_free(value, factor=1.0):
         return np.inf if value is None else factor * value
@@ -856,7 +856,7 @@ def bound_feet(
 
 
 def measured_feet(movement: TrialProgram, at: Trial) -> dict[str, np.ndarray]:
-    """Foot -> its pose and motion (n, 6) as measured; toes are no feet."""
+    """Foot -> measured pose and rates (n, 6); toes do not count."""
     root = at.coordinates.root_columns
     found = {}
     for body in movement.poses:
@@ -882,7 +882,7 @@ def kinematic_terms(
         movement: the trial's variables.
         at: measured values at the nodes.
         noise: standard deviations.
-        effects: of unknown errors.
+        effects: effects of unknown errors.
         encoders: whether the device is tracked, too.
     """
     grid, names = movement.grid, movement.coordinates
@@ -934,12 +934,12 @@ def has_encoders(trial: Trial) -> bool:
 def _against_the_foot(
     movement: TrialProgram, variables, target, sigma, role, effects
 ) -> Tracking:
-    """Tracking of coordinates that hang on a foot, in a device.
+    """Tracking of coordinates with an error that all joints at the foot share.
 
-    What an encoder tells to a tenth of a degree it tells against the foot, and
-    a contact of few spheres turns the foot otherwise than it turned, by as
-    much as its measured pitch is uncertain: an error that all joints at the
-    foot share.
+    In a device: encoders measure to a tenth of a degree, but relative to the
+    foot, and a contact of few spheres turns the foot differently from the
+    measurement, by as much as its pitch is uncertain. The covariance is
+    diag(sigma^2) + u u^T, u from `shared_noise`.
     """
     if effects is None:
         return Tracking(variables, target, sigma, role=role)
@@ -962,17 +962,17 @@ def _against_the_foot(
 
 
 def shared_noise(tree: PlanarTree, sigma: np.ndarray) -> np.ndarray:
-    """Error (nq,) of all coordinates by a foot that turns by its noise.
+    """Error (nq,) of all coordinates if the foot turns by its pitch's noise.
 
     Args:
-        tree: one that hangs on a pelvis has none.
-        sigma: (nq,) of the coordinates, or of their rates.
+        tree: zero if its root is a pelvis.
+        sigma: (nq,) standard deviations of the coordinates, or of their rates.
     """
     return foot_turn(tree) * (sigma[2] if tree.root.startswith("foot") else 0.0)
 
 
 def foot_turn(tree: PlanarTree) -> np.ndarray:
-    """Change of all coordinates (nq,) if the root alone turns by 1."""
+    """Change (nq,) of all coordinates if only the root link turns, by 1 rad."""
     links = [tree.root, *(child for _, child in tree.joints.values())]
     columns = np.flatnonzero(tree.coordinates.is_angle)
     return tree.turned_alone(links, columns)[0]
@@ -981,10 +981,10 @@ def foot_turn(tree: PlanarTree) -> np.ndarray:
 def ground_terms(
     movement: TrialProgram, at: Trial, noise: TrackingNoise
 ) -> list[Tracking]:
-    """Tracking of ground reaction and centre of pressure.
+    """Tracking of ground reaction and centre of pressure (CoP).
 
-    The latter as (M_y + CoP F_z)/F_ref, without dividing by a force that
-    varies; samples that hardly load are left out.
+    The CoP as M_y + CoP F_z with the noise of the CoP times the mean force,
+    which avoids dividing by a varying force; only where the foot is loaded.
     """
     terms = []
     for side, measured in at.soles.items():
@@ -997,7 +997,7 @@ def ground_terms(
         added = np.tile(np.eye(2), wrenches.shape[1])
         rows = np.ones((len(loaded), 1, loads.shape[1]))
         rows[:, 0, 0::2] = np.where(loaded, measured.cop_x, 0.0)[:, None]
-        # Of a foot in the air nothing is tracked.
+        # The CoP of a foot that is always in the air is not tracked.
         reference = 1.0
         if loaded.any():
             reference = _mean(measured.force_z, at.times, loaded)
@@ -1015,23 +1015,24 @@ def ground_terms(
 
 
 def _mean(values: np.ndarray, times: np.ndarray, used=slice(None)) -> float:
-    """Of some values (n,) over time, wherever the grid is finer."""
+    """Mean over time of values (n,), whatever the spacing of the grid."""
     lengths = stands_for(np.diff(times))
     return float(np.average(values[used], weights=lengths[used]))
 
 
 @dataclass(frozen=True)
 class Answer:
-    """How drives and springs answer where a device goes another way.
+    """Change of drive and spring torques if a device moves otherwise.
+
+    The torque is the measured one plus slope times angles, less `there`.
 
     Attributes:
-        times: (n,) from its start [s].
-        slope: (n, m, m) of each joint's torque by the device's angles
-            [N m/rad].
-        there: (n, m) that times the angles at which torques are as measured
+        times: (n,) from the trial's start [s].
+        slope: (n, m, m) of the torques by the device's angles [N m/rad].
+        there: (n, m) slope times the angles at which torques are as measured
             [N m].
-        springs: (m,) stiffness in it of those whose torque was measured at
-            angles that encoders told, with their errors [N m/rad].
+        springs: (m,) stiffness, within slope, of springs whose angle was
+            measured by encoders, with their errors [N m/rad].
     """
 
     times: np.ndarray
@@ -1040,16 +1041,16 @@ class Answer:
     springs: np.ndarray
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Slope, and what is taken off, at other times (k,)."""
+        """`slope` and `there` at other times (k,)."""
         return tuple(
             CubicSpline(self.times, x)(times) for x in (self.slope, self.there)
         )
 
     def given(self, trial: Trial, times: np.ndarray) -> np.ndarray:
-        """What they give more (k, m) where a device goes as in a trial [N m].
+        """Torque (k, m) added to the measured one along a trial [N m].
 
         Args:
-            trial: solved.
+            trial: solved; gives the device's angles.
             times: (k,) [s].
         """
         slope, there = self.at(times)
@@ -1067,13 +1068,13 @@ def torque_terms(
     device: bool = True,
     answer: Answer | None = None,
 ) -> list[Tracking]:
-    """Joint moments tracked where known, minimised otherwise.
+    """Tracking of joint moments if known; otherwise they are minimised.
 
-    Of two legs, moments of one are known the better the less its foot bears:
-    where the ground's force acts is what they are mostly wrong by. How foot
-    and toes share a plate's force is not known: toes are not tracked. Nor is
-    the device, unless `device`: a controller gives other moments. They are as
-    measured, and what `answer` gives more where the device goes another way.
+    With two legs, a leg's moments are the more certain the less its foot bears,
+    since their main error is the point at which the ground's force acts. Toes
+    are not tracked: how foot and toes share a plate's force is not known. The
+    device is tracked if `device`, at its measured moments plus what `answer`
+    adds if it moves otherwise; a controller gives other moments.
     """
     if at.moments is None:
         return [minimised(movement.torque, noise.torque_nm)]
@@ -1081,7 +1082,7 @@ def torque_terms(
     of_device = noise.exo_moment_nm if device else np.inf
     sigma = np.where(names.is_device_joint, of_device, noise.moment_nm)
     sigma = np.tile(sigma, (len(at.times), 1))
-    # Whatever a device calls its joints.
+    # A device's joints may have any names: take the human joint beside each.
     beside = [
         (names.follows(name) if name in names.device else name) or ""
         for name in names.joints
@@ -1089,7 +1090,7 @@ def torque_terms(
     weight = _mean(at.ground.force_z, at.times)
     for side, wrench in at.feet.items():
         share = np.clip(wrench.force_z / weight, 0.0, 1.0)
-        # Filters smear touch-down and lift-off.
+        # Filters smear touch-down and lift-off: keep stance's noise near them.
         near = np.abs(at.times[:, None] - at.times) < _SMEARED_S
         share = np.where(near, share, 0.0).max(axis=1)
         own = [name.endswith(f"_{side}") for name in beside]
@@ -1126,7 +1127,7 @@ def torque_terms(
 def normal_force_terms(
     movement: TrialProgram, at: Trial, noise, effects: Effects | None = None
 ) -> list[Tracking]:
-    """Normal forces tracked where a mat measured them."""
+    """Tracking of the cuffs' normal forces that mats measured."""
     return [
         Tracking(
             variables[:, [NORMAL]],

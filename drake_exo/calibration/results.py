@@ -1,4 +1,4 @@
-"""Results of a phase on disk: model, contact, summary, trajectories."""
+"""Results of a phase on disk: model, contact, summary and trajectories."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ from drake_exo.nlp.ipopt import Solution
 MODEL, PARAMETERS = "model.json", "parameters.json"
 _DAMPING = ("tangential_damping", "normal_damping", "rotational_damping")
 _PRELOAD = ("preload_x", "preload_z", "preload_angle")
-_LARGEST = 1e12  # of a parameter, in SI units
+_LARGEST = 1e12  # bound on the size of any parameter, in SI units
 
 
 def write_model(folder: Path, model: Model) -> None:
-    """Write the model that results were computed with beside them."""
+    """Write the model with which results were computed into their folder."""
     write_json(folder / MODEL, model)
 
 
@@ -63,8 +63,8 @@ class _StoredPosterior:
     """A `Posterior` as `parameters.json` holds it.
 
     Attributes:
-        names: of contact parameters and errors of measurement.
-        values: of each, in SI units.
+        names: names of contact parameters and errors of measurement (m,).
+        values: mean of each, in SI units.
         covariance: (m, m).
     """
 
@@ -73,12 +73,12 @@ class _StoredPosterior:
     covariance: tuple[tuple[float, ...], ...]
 
     def read(self) -> Posterior:
-        """Raises InputError if it is no covariance."""
+        """The posterior; raises InputError if it is no covariance."""
         m = len(self.names)
         if [len(self.values), *map(len, self.covariance)] != [m] * (m + 1):
             raise InputError("posterior: sizes of its parts differ")
         covariance = np.array(self.covariance).reshape(m, m)
-        # In units of each; a parameter at a bound has no variance.
+        # Checked as correlations; a parameter at a bound has no variance.
         sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         sd = np.where(sd > 0.0, sd, 1.0)
         values = np.linalg.eigvalsh(covariance / np.outer(sd, sd))
@@ -89,12 +89,12 @@ class _StoredPosterior:
 
 @dataclass(frozen=True)
 class Origin:
-    """What a calibration was made of, and what came of it.
+    """Inputs of a calibration, and its verdict.
 
     Attributes:
-        subject: of the study.
+        subject: name of the study's subject.
         model: checksum of subject and device.
-        data: trial -> checksum of what was measured.
+        data: trial -> checksum of its measured data.
         verdict: see `Verdict.word`.
         failed: names of the checks that failed.
     """
@@ -107,7 +107,7 @@ class Origin:
 
     @staticmethod
     def of(subject: str, model: Model, trials, verdict: Verdict) -> Origin:
-        """Of a phase's inputs and its verdict."""
+        """The origin from a phase's inputs and its verdict."""
         return Origin(
             subject,
             checksum(model),
@@ -126,16 +126,16 @@ class _Stored:
     """A `ContactModel` as `parameters.json` holds it.
 
     Attributes:
-        law: of the foot-ground contact.
-        constants: of that law by name.
+        law: law of the foot-ground contact.
+        constants: constants of that law by name.
         parameters: name -> value, of spheres and, after Phase B, of cuffs.
         units: parameter name -> unit.
         damping: cuff -> tangential, normal, rotational damping; empty after
             Phase A.
-        preload: cuff -> x, z, angle of its preload; of cuffs that have one.
-        posterior: how sure a calibration was; None where none was.
-        jerk: typical of what it was calibrated on.
-        origin: of the calibration; None where it is not known.
+        preload: cuff -> x, z, angle of its preload; only cuffs that have one.
+        posterior: uncertainty of the calibration; None if not calibrated.
+        jerk: typical jerk of the calibration's trials [rad/s^3].
+        origin: inputs and verdict of the calibration; None if not known.
         of_sole: whether the spheres stand for a sole.
     """
 
@@ -187,7 +187,7 @@ class _Stored:
         )
 
     def _groups(self, names) -> dict[str, None]:
-        """Spheres or cuffs: what has parameters of these names."""
+        """Spheres or cuffs (as keys) that have parameters of these names."""
         parts = (name.rpartition(".") for name in self.parameters)
         return dict.fromkeys(group for group, _, what in parts if what in names)
 
@@ -209,9 +209,9 @@ def write_contact(
     """Write all that a later phase needs of the contact.
 
     Args:
-        folder: of the results.
+        folder: folder of the results.
         contact: calibrated or not.
-        origin: of the calibration; without it `read_contact` asks for leave.
+        origin: the calibration's; `read_contact` refuses a contact without.
     """
     bushings = contact.bushings.items()
     stored = {
@@ -237,9 +237,9 @@ class StoredCalibration:
     """A calibration on disk.
 
     Attributes:
-        folder: where.
-        contact: what it found.
-        origin: what it was made of; None where that is not known.
+        folder: folder from which it was read.
+        contact: the calibrated contact.
+        origin: its inputs and verdict; None if not known.
     """
 
     folder: Path
@@ -253,12 +253,12 @@ class StoredCalibration:
         law: str | None,
         trials: Sequence[Trial] = (),
     ) -> list[Check]:
-        """Whether it holds, and belongs to a study: "provenance".
+        """Checks "provenance": it holds, and belongs to the study.
 
         Args:
-            subject, model, law: of the study; no law where a sole's replaces
-                what was calibrated.
-            trials: that it is to be used for.
+            subject, model, law: the study's; law is None if a sole's contact
+                replaces the calibrated one.
+            trials: trials for which it is to be used.
         """
         made_of, own = self.origin, self.own_check
         if made_of is None:
@@ -286,7 +286,7 @@ class StoredCalibration:
             ),
             check(
                 "unseen",
-                # By what was measured: a trial's name may be another.
+                # By the data, since the same trial may have another name.
                 not {_checksum_of(t) for t in trials}
                 & set(made_of.data.values()),
                 "it was calibrated on trials that it is to predict",
@@ -320,14 +320,14 @@ class StoredCalibration:
     def taken(
         self, checks: Sequence[Check], accepted: Sequence[str]
     ) -> ContactModel:
-        """The contact, unless a check fails that nobody accepted.
+        """The contact, unless a check fails that is not accepted.
 
         Args:
             checks: some of `checks`.
             accepted: names of checks, or beginnings of them, that may fail.
 
         Raises:
-            InputError: it is refused.
+            InputError: a check fails that is not accepted.
         """
         refused = Verdict(tuple(checks), tuple(accepted)).refused
         if refused:
@@ -342,10 +342,10 @@ class StoredCalibration:
 
 
 def read_calibration(folder: str | Path) -> StoredCalibration:
-    """Read what a calibration has written, whether it holds or not.
+    """Read a calibration from its folder, whether it holds or not.
 
     Raises:
-        InputError: the folder holds none.
+        InputError: the folder holds no calibration, or a damaged one.
     """
     folder = path_of(folder, "folder")
     path = folder / PARAMETERS
@@ -365,11 +365,11 @@ def read_contact(
     """Read the contact of a calibration that holds.
 
     Args:
-        folder: that a calibration has written.
+        folder: folder of a calibration's results.
         accept: names of checks that need not hold.
 
     Raises:
-        InputError: it holds none, or one that failed or does not hold.
+        InputError: the folder holds no calibration, or one that does not hold.
 
     >>> import tempfile
     >>> from drake_exo.contact.parameters import nominal_contact
@@ -386,7 +386,7 @@ def read_contact(
 
 
 def solve_summary(solution: Solution) -> dict:
-    """How a solve went."""
+    """Entries of a solve in summary.json: status, sizes and times."""
     return {
         "success": solution.success,
         "status": solution.status,
@@ -409,11 +409,11 @@ def solve_summary(solution: Solution) -> dict:
 def phase_summary(
     phase: str, subject: str, result: PhaseResult, measured: Sequence[Trial]
 ) -> dict:
-    """What summary.json holds of one program.
+    """Entries of one phase in summary.json.
 
     Args:
         phase, subject: their names.
-        result: of the solve.
+        result: the phase's result.
         measured: its trials, on the clocks that were found.
     """
     return {
@@ -442,12 +442,12 @@ def phase_summary(
 
 
 def write_trial(folder: Path, trial: Trial, mark: str = "") -> None:
-    """Motion and forces as OpenSim reads them, and all of it as .npz.
+    """Write motion and forces as OpenSim reads them, and the trial as .npz.
 
     Args:
-        folder: of the results.
-        trial: as found.
-        mark: `Verdict.mark`, in the first line of each table.
+        folder: folder of the results.
+        trial: a solution.
+        mark: `Verdict.mark`, for the first line of each table.
     """
     names = trial.coordinates
 
@@ -478,10 +478,10 @@ def write_trial(folder: Path, trial: Trial, mark: str = "") -> None:
 def write_bands(
     folder: Path, trial: Trial, found: Bands, mark: str = ""
 ) -> None:
-    """Lower and upper ends of 95 % bands as a table that OpenSim reads.
+    """Write lower and upper ends of 95 % bands as a table that OpenSim reads.
 
-    Around the prediction; CUFF_mats around what a cuff's mats would show of
-    its normal force, which is what `Bands.coverage` counts and figures shade.
+    They are around the prediction; CUFF_mats is around what a cuff's mats would
+    show of its normal force: `Bands.coverage` and figures use that one.
     """
     names = trial.coordinates
     unit = np.where(names.is_angle, np.rad2deg(1.0), 1.0)
@@ -516,13 +516,13 @@ def read_trial(folder: Path, name: str, source: str = "solution") -> Trial:
     """Read what `write_trial` wrote, or the measured trial beside it.
 
     Args:
-        folder: of the results.
-        name: of the trial.
-        source: "solution" or "measured"; of a prediction "uncalibrated" (with
-            nominal cuffs); of a design "before" or "after".
+        folder: folder of the results.
+        name: name of the trial.
+        source: "solution" or "measured"; for a prediction "uncalibrated" (with
+            nominal cuffs); for a design "before" or "after".
 
     Raises:
-        InputError: it is missing or damaged, or there is no such source.
+        InputError: the file is missing or damaged, or there is no such source.
 
     >>> import tempfile
     >>> from drake_exo.virtual_laboratory import synthetic

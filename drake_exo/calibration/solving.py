@@ -1,4 +1,4 @@
-"""Solving a phase as a command does: progress, checkpoints, resuming."""
+"""Solving a phase with progress, checkpoints and refinement of the grid."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from drake_exo.nlp.ipopt import Iterate, Solution
 
 CHECKPOINT = "checkpoint.npz"
 _AFRESH = "start afresh without resume (--resume)"
-REFINEMENTS = 5  # with the damping of what alternates
-_AT_ONCE = 4.0  # parts of an interval
-_AIM = 0.5  # of what is allowed: a finer grid misses elsewhere
+REFINEMENTS = 5  # at most, counting the damping of alternating jerk
+_AT_ONCE = 4.0  # parts at most into which an interval is split at once
+_AIM = 0.5  # share of the tolerance to aim at: residuals move on a finer grid
 _CHECKPOINT_SECONDS = 2.0
-_SAME = 1e-6  # of bounds and costs, scaled: another machine, the same study
+_SAME = 1e-6  # tolerance for bounds and costs, scaled, of another machine
 
 
 class SolveWatch:
     """Progress lines and checkpoints of a solve.
 
     Args:
-        title: begins every line.
+        title: beginning of every line.
         checkpoint: file that keeps the newest iterate, if any.
-        fingerprint: of the problem, kept with it; see `SparseProgram`.
+        fingerprint: identifies the problem in it; see `SparseProgram`.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class SolveWatch:
         self._newest = None
 
     def __call__(self, iterate: Iterate) -> None:
-        """See `nlp.ipopt.solve`."""
+        """Print progress and save; see `on_iterate` of `nlp.ipopt.solve`."""
         self._progress.update(
             f"{iterate.strategy} iteration {iterate.iteration}, objective "
             f"{iterate.objective:.6g}, infeasibility "
@@ -65,13 +65,13 @@ class SolveWatch:
         self.save(iterate.x)
 
     def end(self, result: PhaseResult) -> None:
-        """Keep what was found, or where a solve without success ended."""
+        """Save the solution, or the last iterate of a failed solve."""
         x = result.values if result.success else self._newest
         if x is not None:
             self.save(x)
 
     def save(self, x: np.ndarray) -> None:
-        """Keep program variables as the checkpoint."""
+        """Save program variables x as the checkpoint."""
         draft = self._checkpoint.with_name("checkpoint.tmp.npz")
         structure, values = self._fingerprint
         np.savez(draft, x=x, structure=structure, values=values)
@@ -85,34 +85,34 @@ def solve(
     resume: bool = False,
     near: PhaseResult | None = None,
 ) -> PhaseResult:
-    """Solve with progress, on a grid on which the audit holds.
+    """Solve with progress, refining the grid until the audit holds.
 
-    Where a trial's laws or equations of motion do not hold between its nodes,
-    as while a foot comes down or lifts, it gets a finer grid, started from the
-    solution, `REFINEMENTS` times at most; what then does not hold, the audit
-    says. What alternates from node to node is damped before, on the same grid
-    (`TrialProgram.damp`): it would fail everywhere. From interval to interval
-    lengths change by a factor of two at most, since what a step that changes
-    sets off is the smaller the smoother it changes.
+    If laws or equations of motion do not hold between a trial's nodes, as while
+    a foot comes down or lifts, the trial is solved again on a finer grid from
+    the solution, at most `REFINEMENTS` times; the audit tells what is left.
+    Jerk that alternates from node to node is damped first, on the same grid
+    (`TrialProgram.damp`), since it fails everywhere. Lengths of successive
+    intervals differ by at most a factor of two: the smoother they change, the
+    less the change of length disturbs the solution.
 
     Args:
-        pose: makes the phase with grids as fine as it is told, see
-            `PhaseProblem`.
-        title: begins every line of progress.
+        pose: makes the phase from the refinement of its grids, see `refined`
+            of `PhaseProblem`.
+        title: beginning of every line of progress.
         folder: where checkpoint.npz is written while solving; it stays there
             until `forget`, since audits come before results are written. None
             keeps nothing.
         resume: start from the checkpoint found there, if there is one.
-        near: start from this solution of a problem like it instead, on its
+        near: start instead from this solution of a similar problem, on its
             grid.
 
     Returns:
-        What was found; of a stopped solve, also on a finer grid, what it was
-        stopped at.
+        The result on the last grid that could be solved; if stopped, also on a
+        finer grid, the iterate at which the solve was stopped.
 
     Raises:
         InputError: the checkpoint belongs to another problem, or is damaged;
-            or from the pre-flight check.
+            or see `infeasibility.check`.
     """
     problem = pose(near.problem.refined if near else {})
     result = _solve_first(problem, title, folder, resume, near)
@@ -140,21 +140,21 @@ def forget(folder: str | Path) -> None:
 
 
 def _add_up(solution: Solution, before: Solution) -> None:
-    """Iterations and seconds of a solve and of the one it started from."""
+    """Add iterations and seconds of the solve that this one started from."""
     solution.iterations += before.iterations
     for part, seconds in before.seconds.items():
         solution.seconds[part] = solution.seconds.get(part, 0.0) + seconds
 
 
 def finer(result: PhaseResult) -> dict[str, np.ndarray]:
-    """Into how many parts intervals are to be split, see `PhaseProblem`.
+    """Trial -> parts of each interval on the next grid, see `PhaseProblem`.
 
-    Those that miss more than half of what the audit allows, and their
-    neighbours, since what sets them off moves as it is followed.
+    Split are intervals with residuals above half of the audit's tolerance, and
+    their neighbours, since residuals move when the motion follows them better.
 
     Returns:
-        Of every trial; empty where the audit holds. All 1 for what is damped
-        first.
+        All trials; empty if the audit holds. The grid is left as it is if
+        alternating jerk has to be damped first.
     """
     problem, found, fails = result.problem, {}, False
     undamped = not problem.refined and any(
@@ -172,16 +172,16 @@ def finer(result: PhaseResult) -> dict[str, np.ndarray]:
 
 
 def split(parts: np.ndarray, missed: np.ndarray) -> np.ndarray:
-    """Finer parts (m,) of m intervals where too much is missed.
+    """Number of parts (m,) of m intervals, more where residuals are large.
 
     Args:
-        parts: (m,) that each has now.
-        missed: (parts.sum(),) by these, in units of what is allowed. An
-            interval that misses more than half is halved until it should not.
+        parts: (m,) present number of parts of each interval.
+        missed: (parts.sum(),) residual in each part, in units of the tolerance.
+            Above one half, an interval is halved, above one quartered.
     """
     starts = np.r_[0, np.cumsum(parts)[:-1]]
     worst = np.maximum.reduceat(missed, starts)
-    # What is halved misses half at least.
+    # Halving is assumed to halve a residual at least.
     halvings = np.ceil(np.log2(np.clip(worst / _AIM, 1.0, _AT_ONCE)))
     new = np.where(worst > _AIM, parts * 2.0**halvings, 1.0)
     beside = np.pad(new, 1, constant_values=1.0)
@@ -199,7 +199,7 @@ def _solve_first(
     resume: bool,
     near: PhaseResult | None,
 ) -> PhaseResult:
-    """On the grid of the settings; the newest iterate is kept in `folder`."""
+    """Solve on the settings' grid, with a checkpoint in `folder`."""
     if folder is None:
         return problem.solve(on_iterate=SolveWatch(title), near=near)
     folder = path_of(folder, "folder")
@@ -221,7 +221,7 @@ def _solve_first(
 def read_checkpoint(
     path: Path, fingerprint: tuple[str, np.ndarray], size: int
 ) -> np.ndarray:
-    """The iterate (size,) that a run with the same fingerprint left.
+    """The iterate (size,) saved by a run with the same fingerprint.
 
     Raises:
         InputError: it is damaged, or of another problem.

@@ -1,4 +1,4 @@
-"""Where a solve of a phase starts: near the data, on feet that carry."""
+"""Initial guess of a phase: the measured motion, feet settled to carry it."""
 
 from typing import NamedTuple
 
@@ -8,15 +8,16 @@ from drake_exo.collocation.initial_guess import settle_foot, settle_rolling
 from drake_exo.collocation.kernels import FORCE_UNIT, PoseKernel
 from drake_exo.measurement.trial import Trial
 
-# How far coordinates give way to feet: lengths [m], angles [rad]; feet do not.
+# Typical changes, in least squares, of lengths [m], angles [rad] and feet.
 _LENGTH_M, _ANGLE_RAD, _FOOT = 0.01, 0.05, 1e-4
 _PASSES = 6
-_RATE_X = 3  # among a law's inputs
-_STEEP, _STEP = 100.0, 0.03  # N s/m, m/s
+_RATE_X = 3  # index of the foot's dx/dt among a law's inputs
+# Least slope of friction used [N s/m]; largest change of velocity [m/s].
+_STEEP, _STEP = 100.0, 0.03
 
 
 class Start(NamedTuple):
-    """Motion (n, nq) at the nodes, and wrench (n, 3) by body that touches."""
+    """Motion (n, nq) at the nodes; segment that touches -> wrench (n, 3)."""
 
     q: np.ndarray
     v: np.ndarray
@@ -39,7 +40,7 @@ def settled(problem, movement, at: Trial, contact) -> Start:
 
 
 def _one_foot(problem, movement, at, contact) -> Start:
-    """The root stands, and all above it moves as measured."""
+    """Settle the root, a foot; joints move as measured."""
     tree, times = problem.tree, movement.grid.times
     root = tree.coordinates.root_columns
     q, v, a = at.q.copy(), at.v.copy(), at.a.copy()
@@ -59,11 +60,11 @@ def _one_foot(problem, movement, at, contact) -> Start:
 
 
 def _rolling_feet(problem, movement, at, contact) -> Start:
-    """Both feet are settled, and the body follows them."""
+    """Settle both feet; the coordinates follow them by least squares."""
     tree, times = problem.tree, movement.grid.times
     targets = []
     for side, bodies in problem.feet.items():
-        # Whether it touches itself, or what moves against it alone.
+        # The foot, also if only other segments of it touch the ground.
         tie = PoseKernel(tree, "foot" if side == "both" else f"foot_{side}")
         measured = tie.poses(at.q, at.v)[:, :3]
         spheres = [problem.sphere_values(contact, b) for b in bodies]
@@ -95,7 +96,7 @@ def _rolling_feet(problem, movement, at, contact) -> Start:
 
 
 def _law(problem, contact, body, q, v):
-    """Wrench (n, 3) that the law gives, and dF_x/dv_x (n,)."""
+    """Wrench (n, 3) by the law, and dF_x/dv_x (n,) [N s/m]."""
     x = problem.law_inputs(contact, body, q, v)
     kernel = problem.kernels[body]
     slope = kernel.jacobian(x, None)[:, 0, _RATE_X] * FORCE_UNIT
@@ -103,9 +104,9 @@ def _law(problem, contact, body, q, v):
 
 
 def _slip(problem, contact, at, q, v) -> np.ndarray:
-    """Change (n, 3 feet) of the feet's velocities that mends F_x.
+    """Change (n, 3 feet) of the feet's velocities that corrects F_x.
 
-    Hinged toes creep otherwise than their foot.
+    To be repeated: hinged toes creep differently from their foot.
     """
     columns = []
     for side, bodies in problem.feet.items():
@@ -131,14 +132,14 @@ def _in_foot(tree, q, foot, body, spheres) -> np.ndarray:
 
 
 def _jacobian(tie: PoseKernel, q) -> np.ndarray:
-    """Of a body's pose by q, (n, 3, nq)."""
+    """Jacobian (n, 3, nq) of a body's pose by q."""
     nq = q.shape[1]
     x = np.hstack([q, np.zeros_like(q), np.zeros((len(q), 6))])
     return tie.jacobian(x, None)[:, :3, :nq]
 
 
 def _least_change(tree, J, missing) -> np.ndarray:
-    """Smallest change (n, nq) that brings (n, m) by J (n, m, nq)."""
+    """Smallest weighted change (n, nq) with J change = missing (n, m)."""
     size = np.where(tree.coordinates.is_angle, _ANGLE_RAD, _LENGTH_M)
     A = J * size
     normal = A @ A.transpose(0, 2, 1) + _FOOT**2 * np.eye(A.shape[1])
@@ -154,7 +155,7 @@ def _followed(tree, measured, targets) -> np.ndarray:
         now = [t.poses(q, np.zeros_like(q))[:, :3] for t, _, _ in targets]
         wanted = np.concatenate([pose for _, pose, _ in targets], axis=1)
         off = wanted - np.concatenate(now, axis=1)
-        # About the measured posture, not about the last one.
+        # The change is least from the measured posture, not from the last one.
         off = off + np.einsum("nij,nj->ni", J, q - measured)
         q = measured + _least_change(tree, J, off)
     return q

@@ -1,11 +1,11 @@
-"""How sure parameters and predictions are: intervals and bands of 95 %.
+"""Uncertainty of parameters and predictions: intervals and bands of 95 %.
 
-To first order, as independent parts of one size, through the conditions of the
-optimum (`nlp.sensitivity`); docs/method.md says what counts. Noise has the
-spectrum of the study's filter, that of velocities is the derivative of that of
-positions. The prior is one more measurement, of the nominal value. What tracks
-none (energy, jerk) adds no noise but pulls parameters away from what the data
-say. Which of them the data determine is told after Van den Hof et al. (II-C).
+Noise is split into independent parts of unit variance, each of which moves the
+optimum to first order (`nlp.sensitivity`); see docs/method.md. It has the
+spectrum of the study's filter; noise of velocities is the derivative of that of
+positions. The prior counts as a measurement of the nominal value. Cost terms
+that track nothing (energy, jerk) add no noise, but pull parameters away from
+the data. `contact_sensitivity`: what the data determine (Van den Hof, II-C).
 """
 
 from __future__ import annotations
@@ -38,25 +38,25 @@ from drake_exo.nlp.sensitivity import Optimum, Response, response
 from drake_exo.nlp.sparse import SparseProgram
 
 QUANTILE_95 = 1.959964
-# A parameter is identifiable if the data leave less than this of its prior's
-# standard deviation; without a prior, of a quarter of its range.
+# A parameter is identifiable if its standard deviation is below this share of
+# its prior's; without a prior, of a quarter of its range.
 _IDENTIFIABLE = 0.5
 _LAW_SHARE, _LAW_ORIGIN_M = 0.25, 0.01  # see `_law`
-_FREQUENCIES_PER_CYCLE = 4  # resolution: a quarter of 1/duration
-_HIGHEST = 3.0  # of the cut-off frequency
+_FREQUENCIES_PER_CYCLE = 4  # spacing of frequencies: a quarter of 1/duration
+_HIGHEST = 3.0  # highest frequency, as a multiple of the cut-off
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Of free parameters at an optimum, in the units of each.
+    """Uncertainty of free parameters at an optimum, in their own units.
 
     Attributes:
-        names: (m,), those of `ContactModel.values`.
-        covariance: (m, m), by noise and prior.
-        pull: (m,) how far the terms that track nothing have moved each.
-        prior_sd: (m,) what was known before.
-        at_bound: (m,) bool; of those nothing is told but that.
-        law: (m,) how far off each is where a cuff is no bushing.
+        names: (m,) as in `ContactModel.values`.
+        covariance: (m, m) by noise and prior.
+        pull: (m,) shift by cost terms that track no measurement.
+        prior_sd: (m,) sd of the prior, at most a quarter of the range.
+        at_bound: (m,) bool; nothing else is known of a parameter at a bound.
+        law: (m,) standard deviation because a real cuff is not a bushing.
 
     >>> one = np.eye(1)
     >>> known = Uncertainty(
@@ -90,13 +90,13 @@ class Uncertainty:
     def half_width(self) -> np.ndarray:
         """Half of each 95 % interval (m,), pull and law included."""
         own = np.hypot(self.sd, self.pull)
-        # The law's share makes nothing less sure than it was before.
+        # The law's share never widens an interval beyond the prior's.
         both = np.minimum(np.hypot(own, self.law), self.prior_sd)
         return QUANTILE_95 * np.maximum(own, both)
 
     @property
     def identifiable(self) -> np.ndarray:
-        """Whether data tell each better than its prior did (m,)."""
+        """Whether the data determine each, at half its prior's sd (m,)."""
         off = np.hypot(self.sd, self.law)
         return off < _IDENTIFIABLE * self.prior_sd
 
@@ -108,11 +108,11 @@ def uncertainty(
 
     Args:
         result: of a problem with its collocation constraints substituted.
-        cutoff_hz, order: of the filter that the signals went through.
+        cutoff_hz, order: of the filter that was applied to the signals.
 
     Returns:
-        None if nothing is free, or the collocation constraints were kept
-        (`reduce: false`): then given end states are no constraints.
+        None if no parameter is free, or the collocation constraints were kept
+        (`reduce: false`): given end states are then not rows of the problem.
     """
     problem = result.problem
     free = _free(result)
@@ -160,11 +160,11 @@ def uncertainty(
 
 
 def _law(p: ContactParameter, value: float) -> float:
-    """Standard deviation of what a cuff has of its own, which is no bushing.
+    """Standard deviation of a parameter because a real cuff is not a bushing.
 
-    Its stiffness grows with the load, it slips, and the skin under it slides
-    late: a bushing that fits a movement best is another one. Chosen on wide
-    campaigns of seeds 1 to 4.
+    Its stiffness grows with load, it slips, and skin slides late under it, so
+    the best-fitting bushing differs between movements. Chosen on wide campaigns
+    of seeds 1 to 4.
     """
     if p.name.endswith("_stiffness"):
         return _LAW_SHARE * abs(value)
@@ -179,13 +179,13 @@ def _prior_sd(p: ContactParameter, value: float) -> float:
 
 
 def posterior(result: PhaseResult) -> Posterior:
-    """What a calibration knows of parameters and errors of measurement.
+    """Posterior of parameters and errors of measurement (normal, Laplace's).
 
-    The normal approximation at the optimum: the inverse of the curvature of
-    the cost, which is a sum of squares of errors over their standard
-    deviations, noise of each signal being one size for a second, and of
-    priors. The cost of jerk is neither, and its curvature does not count: a
-    device that swings would seem to tell when its encoders were read.
+    The covariance is the inverse of the cost's curvature at the optimum: the
+    cost is a sum of squares of errors over their standard deviations (noise of
+    a signal stays the same for about a second) and of priors. The cost of jerk
+    is left out: it is neither, and with it a swinging device would seem to
+    determine the lag of its encoders.
     """
     problem = result.problem
     names = [problem.parameters[k].name for k in _free(result)]
@@ -206,7 +206,7 @@ def posterior(result: PhaseResult) -> Posterior:
 
 
 def _free(result: PhaseResult) -> list[int]:
-    """Which parameters are unknowns: free, and not held in the program."""
+    """Indices of parameters that are free and not fixed in the program."""
     problem, unknowns = result.problem, result.compiled.unknowns
     index = problem.program.indices(problem.parameter_variables)
     held = unknowns.x_lower[index] == unknowns.x_upper[index]
@@ -216,7 +216,7 @@ def _free(result: PhaseResult) -> list[int]:
 
 
 def _shared(result: PhaseResult) -> np.ndarray:
-    """Variables that touch all nodes of a trial: free parameters, errors."""
+    """Indices of variables that all nodes share: free parameters, errors."""
     problem = result.problem
     variables = problem.parameter_variables[_free(result)]
     if problem.error_variables is not None:
@@ -233,8 +233,8 @@ def _noise(movement: TrialProgram, result, found, by_x, cut, order):
             continue
         R = by_target(term, result.problem, by_x)
         if term.role in responses:
-            # To the signals themselves, as ends are given: places and speeds
-            # share errors by rows of their own.
+            # From weighted rows back to the signals, to which given ends refer;
+            # positions and velocities each have rows of their own.
             R = R @ term.rows[0]
             variables = result.problem.program.indices(term.variables)
             _add_ends(R, variables, result.compiled, found)
@@ -243,7 +243,7 @@ def _noise(movement: TrialProgram, result, found, by_x, cut, order):
         sigma = _finite(term.sigma)
         for r in range(R.shape[2]):
             yield (R[:, :, r] * sigma[:, r]) @ values
-    # Of the coordinates, and of each foot where there are two.
+    # One pair for the coordinates, and one for each of two feet.
     for (R, term), (R_v, _) in zip(*responses.values(), strict=True):
         parts = np.linalg.inv(term.rows[0]) * _finite(term.sigma)[0]
         R, R_v = R @ parts, R_v @ parts
@@ -252,17 +252,17 @@ def _noise(movement: TrialProgram, result, found, by_x, cut, order):
 
 
 def _finite(sigma: np.ndarray) -> np.ndarray:
-    """Noise of what is tracked, none of what is not."""
+    """Noise of tracked signals; 0 for those not tracked (infinite sigma)."""
     return np.where(np.isfinite(sigma), sigma, 0.0)
 
 
 def by_target(term: Tracking, problem: PhaseProblem, by_x) -> np.ndarray:
-    """Response (m, n, r) of some to what is tracked, (n, r).
+    """Response (m, n, r) of m quantities to a term's target (n, r).
 
     Args:
-        term: of the cost.
-        problem: it belongs to.
-        by_x: (m, num_vars) response to changes of the gradient.
+        term: tracking term of the cost.
+        problem: the problem it belongs to.
+        by_x: (m, num_vars) response to changes of the cost's gradient.
     """
     place, weights = problem.program.indices, term.weights
     gain = 1.0 / term.sigma[:, :, None] ** 2
@@ -285,7 +285,7 @@ def by_target(term: Tracking, problem: PhaseProblem, by_x) -> np.ndarray:
 
 
 def _add_ends(R, variables, program, found):
-    """Given end states carry the noise of the measurement."""
+    """Add to R the response to end states that are given as measured."""
     for node in (0, -1):
         rows = program.rows.row_of(variables[node])
         given = rows >= 0
@@ -294,7 +294,7 @@ def _add_ends(R, variables, program, found):
 
 
 def _jerk_weights(problem: PhaseProblem, count: int) -> np.ndarray:
-    """Curvature (count,) of the cost by each variable's jerk."""
+    """Curvature (count,) of the cost of jerk by each program variable."""
     found = np.zeros(count)
     for movement in problem.movements:
         jerk = problem.program.indices(movement.grid.jerk)
@@ -304,7 +304,7 @@ def _jerk_weights(problem: PhaseProblem, count: int) -> np.ndarray:
 
 
 def _regulariser(problem: PhaseProblem, program: SparseProgram, y):
-    """Gradient of what tracks no measurement, the prior left out."""
+    """Gradient (ny,) of cost terms that track no measurement, less priors."""
     x = program.expand(y)
     g = _jerk_weights(problem, len(x)) * x
     for movement in problem.movements:
@@ -328,8 +328,8 @@ def noise_basis(
 
     Args:
         times: (n,) [s].
-        cutoff_hz: where the filter damps amplitudes to 1/sqrt(2).
-        order: of the zero-lag Butterworth filter, in effect.
+        cutoff_hz: frequency at which amplitudes are damped to 1/sqrt(2).
+        order: effective order of the zero-lag Butterworth filter.
 
     Returns:
         values (n, k): noise is values @ white noise (k,); and their time
@@ -350,7 +350,7 @@ def noise_basis(
     return np.hstack([c, s]), np.hstack([-omega * s, omega * c])
 
 
-# Parameters whose sensitivities point this nearly the same way are coupled.
+# Parameters are coupled if the cosine of their sensitivities reaches this.
 COUPLED = 0.99
 
 
@@ -384,9 +384,9 @@ class Identifiability:
         return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
     def advice(self) -> list[str]:
-        """What to fix, one sentence for each coupled pair.
+        """Which parameter to fix, one sentence for each coupled pair.
 
-        A radius, which the settings fix by themselves, before anything else.
+        A radius if there is one, as the settings do by default.
         """
         influence = dict(zip(self.names, self.influence, strict=True))
         lines = []
@@ -406,11 +406,11 @@ class Identifiability:
 
 
 def _by_parameters(result: PhaseResult, trial, body: str) -> np.ndarray:
-    """Wrench (n, 3, parameters) of a segment by all spheres' parameters."""
+    """Derivative (n, 3, m) of a segment's wrench by all m parameters."""
     problem, names = result.problem, [p.name for p in result.parameters]
     x = problem.law_inputs(result.contact, body, trial.q, trial.v)
     own = WRENCH_UNITS[:, None] * problem.kernels[body].jacobian(x, None)
-    # Those of the moment are about the body.
+    # Moments about the body, moved to the wrench's point of reference.
     own[:, 2] += x[:, [1]] * own[:, 0] - x[:, [0]] * own[:, 1]
     J = np.zeros((len(trial.times), 3, len(names)))
     columns = [
@@ -425,9 +425,8 @@ def _by_parameters(result: PhaseResult, trial, body: str) -> np.ndarray:
 def contact_sensitivity(result: PhaseResult) -> Identifiability:
     """Sensitivity of ground reaction and CoP at the calibrated motion.
 
-    All parameters of the spheres are looked at, fixed ones included. A node
-    counts as long as it stands for, so that fine parts of a grid do not count
-    more.
+    By all parameters of the spheres, fixed ones included. Nodes are weighted by
+    the time they stand for, so that finer parts of a grid do not count more.
     """
     problem, noise = result.problem, result.problem.settings.noise
     scale = np.array([p.span / 4.0 for p in result.parameters])
@@ -473,16 +472,17 @@ def analyse(names: list[str], sensitivity: np.ndarray) -> Identifiability:
     )
 
 
-_RADII = (0.75, 1.0, 1.25)  # times those of the settings
+_RADII = (0.75, 1.0, 1.25)  # multiples of the settings' radii
 
 
 def radius_profile(result: PhaseResult):
-    """Phase A again with other radii: what moves is the spheres' centres.
+    """Phase A again with other radii: the spheres' centres move instead.
 
-    The prior follows the spheres' lowest points.
+    The prior and bounds of a centre's height move by the change of radius, so
+    that they stay the same for the lowest point.
 
     Args:
-        result: of Phase A.
+        result: Phase A's.
 
     Yields:
         For each factor a row: radius_factor, success, objective,
@@ -533,7 +533,8 @@ def radius_profile(result: PhaseResult):
         }
 
 
-# Cuffs stiffen and slip: no bushing tells a force better than to this share.
+# Standard deviation of a cuff's force, as a share, that no bushing represents:
+# cuffs stiffen and slip.
 DISCREPANCY = 0.12
 
 
@@ -541,17 +542,17 @@ DISCREPANCY = 0.12
 class Bands:
     """Half widths of 95 % bands around a predicted trial.
 
-    `q`, `v` and `cuffs` are around the trial's own; what is seen, around that
-    plus how far off it is: a mat's reading at `found.cuff(name).normal +
-    bands.off_mats[name]`, within `bands.mats[name]`.
+    Bands `q`, `v` and `cuffs` are around the prediction. Those of instruments'
+    readings are around the prediction plus its expected error: a mat shows
+    `found.cuff(name).normal + bands.off_mats[name]` within `bands.mats[name]`.
 
     Attributes:
         q, v: (n, nq), units as the trial's.
         cuffs: cuff -> (n, 3) tangential, normal [N], moment [N m].
-        mats: cuff -> (n,) of what its mats would show [N].
-        seen_q, seen_v: (n, nq) of what markers and encoders would show.
-        off_q, off_v, off_mats: how far off that is of the prediction, by what
-            is known of errors of measurement; shapes likewise.
+        mats: cuff -> (n,) for readings of its mats [N].
+        seen_q, seen_v: (n, nq) for readings of markers and encoders.
+        off_q, off_v, off_mats: expected readings less the prediction, by the
+            known errors of measurement; shapes likewise.
     """
 
     q: np.ndarray
@@ -570,15 +571,15 @@ class Bands:
         return f"Bands({len(self.q)} samples; {', '.join(told)})"
 
     def normal(self, cuff: str) -> np.ndarray:
-        """Of a cuff's normal force (n,) [N]: `mats`, where it has some."""
+        """Half width (n,) of a cuff's normal force [N], of its mats' if any."""
         return self.mats.get(cuff, self.cuffs[cuff][:, NORMAL])
 
     def coverage(self, found: Trial, measured: Trial) -> dict:
-        """Share of time that the measured is within a prediction's bands.
+        """Share of time during which measurements are within the bands.
 
         Args:
-            found: that the bands are of.
-            measured: the same trial.
+            found: the prediction to which the bands belong.
+            measured: the same trial as measured.
 
         Returns:
             trial; angles_deg and velocities_deg_s by joint that was measured,
@@ -620,7 +621,7 @@ class Bands:
 
 
 def bands(result: PhaseResult) -> Bands | None:
-    """Bands of a predicted trial; None where no calibration says how sure."""
+    """Bands of a predicted trial; None without a calibration's posterior."""
     problem = result.problem
     known = problem.contact.posterior
     if known is None or problem.error_variables is None:
@@ -631,7 +632,8 @@ def bands(result: PhaseResult) -> Bands | None:
     place = problem.program.indices
     errors = place(problem.error_variables)
     optimum = Optimum(program, y, program.unknowns.column_of(errors))
-    # Responses of program variables, one column for each independent part.
+    # Below, `moved` holds responses of all program variables, one column for
+    # each independent part of the deviation.
     matrix = program.unknowns.matrix
 
     def by_gradient(change: np.ndarray) -> np.ndarray:
@@ -641,7 +643,7 @@ def bands(result: PhaseResult) -> Bands | None:
     _, prior = problem.errors.prior()
     chosen = [n for n in known.names if n in problem.contact.values()]
     variables = place(problem.variables_of(chosen))
-    # Errors that trials share are told by the same data as the parameters.
+    # Errors that trials share are correlated with the parameters.
     shared = [k for k, n in enumerate(problem.errors.names) if n in known.names]
     names = [problem.errors.names[k] for k in shared]
     count = len(chosen)
@@ -662,16 +664,16 @@ def bands(result: PhaseResult) -> Bands | None:
     moved = np.hstack(parts)
 
     def change_of(variables) -> np.ndarray:
-        """By independent parts, which come last."""
+        """Change (..., k) of variables by the independent parts."""
         return moved[place(variables)]
 
     def of_seen(variables, by) -> np.ndarray:
-        """Likewise of what is shown, with its errors of measurement."""
+        """The same for readings, with their errors of measurement."""
         return change_of(variables) + by @ moved[errors]
 
     grid = movement.grid
     at = problem.trials[0].sample(grid.times)
-    # Mats are off by shares of the force, which is the predicted one.
+    # Mats' errors are shares of the force: here the predicted one.
     at = replace(at, cuffs={cuff: trial.cuffs[cuff] for cuff in at.cuffs})
     effects, known_errors = problem.errors.effects(at), result.values[errors]
 
@@ -687,7 +689,7 @@ def bands(result: PhaseResult) -> Bands | None:
                 problem.settings.noise.normal_force_n,
             )
     q, v = (_half_width(change_of(x)) for x in (grid.q, grid.v))
-    # Whether it tracks that or, as a periodic step, nothing.
+    # Noise of readings, also for a periodic step, which tracks nothing.
     shown = kinematic_terms(
         movement, at, problem.settings.noise, encoders=has_encoders(at)
     )
@@ -715,14 +717,14 @@ def bands(result: PhaseResult) -> Bands | None:
 
 
 def _half_width(parts: np.ndarray, *more) -> np.ndarray:
-    """Of a 95 % interval, by parts (..., k) of a deviation and more of them."""
+    """Half widths of 95 % intervals, by parts (..., k) and `more` sds."""
     variance = np.sum(parts**2, axis=-1) + sum(np.square(m) for m in more)
     return QUANTILE_95 * np.sqrt(variance)
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
     """Square root (m, k) of a covariance that may be singular."""
-    # From clocks to stiff cuffs sizes differ by 1e9; at a bound it is 0.
+    # Scaled: clocks and stiffness differ by 1e9. A variance at a bound is 0.
     unit = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unit[unit == 0.0] = 1.0
     values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
@@ -730,10 +732,10 @@ def _root(covariance: np.ndarray) -> np.ndarray:
 
 
 def _noise_of_term(term, times, place, errors, size) -> np.ndarray:
-    """Gradients (size, k) by independent parts of a tracked signal's noise."""
+    """Change (size, k) of the cost's gradient by k parts of a term's noise."""
     n, r = term.target.shape
     active = term.weights > 0.0
-    if active.sum() == 2:  # ends: each by itself
+    if active.sum() == 2:  # the two ends, independent of each other
         modes = np.zeros((n, 2))
         modes[np.flatnonzero(active), [0, 1]] = 1.0
         modes /= np.sqrt(term.weights[active])
@@ -753,7 +755,7 @@ def _noise_of_term(term, times, place, errors, size) -> np.ndarray:
 
 
 def _modes(times: np.ndarray) -> np.ndarray:
-    """Noise that is one size for about a second: (n, k) orthonormal in time."""
+    """Modes (n, k), orthonormal in time, of noise that lasts about a second."""
     duration = times[-1] - times[0]
     count = max(round(2.0 * duration), 1)
     phase = np.pi * (times - times[0]) / duration

@@ -1,13 +1,13 @@
-"""Who wears a design, and how they move in a device whose contact is given.
+"""Wearers of a design, and how they move in a device whose contact is given.
 
-Own movement: the person moves as was measured and the device's torques are as
-measured; where the device goes, and what its cuffs bear, follows from its
-equations of motion. With the cuffs of today that is what a design is compared
-with, with other cuffs it is the design's forecast: neither its mats nor its
-encoders are believed, since other cuffs would change them.
+`OwnMovement`: the person moves as measured and the device's torques are as
+measured; the device's motion and the cuffs' forces follow from the equations of
+motion. With today's cuffs this is what a design is compared with; with other
+cuffs it is the design's forecast. Mats and encoders are not tracked then, since
+other cuffs would change what they show.
 
-Besides those who were calibrated, wearers are drawn from what a calibration
-left open, or have bodies of other sizes.
+Besides the people who were calibrated, wearers are drawn from a calibration's
+posterior (`drawn`) or have bodies of other sizes (`sized`).
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ from drake_exo.model.description import refitted
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import CUFFED, SEGMENTS, HumanParameters
 
-# Of the mass, in a sphere's stiffness.
+# Law of contact -> power of body mass to which a sphere's stiffness scales.
 _POWER = {"simbody": 1.0, "paper": 2.0 / 3.0}
-# What posture leaves of a drive's torque, against its noise: angles have
-# theirs, too.
+# Residual of `posture_law` that is accepted, as a multiple of the torque's
+# noise: angles are noisy, too.
 _EXPLAINED = 2.0
 
 
@@ -63,10 +63,10 @@ class OwnMovement(PhaseProblem):
         trials: measured.
         contact: calibrated.
         settings: noise, errors and grid, as those of Phase C.
-        seen: as encoders show it, too: how the device truly moved on the
-            cuffs that it was measured on.
-        answers: trial -> how its drives answer where the device goes another
-            way than it did; those that are not named do not.
+        seen: track encoders, too: the device's true motion on the cuffs with
+            which it was measured.
+        answers: trial -> how its torques change if the device moves otherwise
+            than measured; a trial not named keeps its torques.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
@@ -123,23 +123,22 @@ def posture_law(
     model: Model,
     noise_nm: float,
 ) -> dict[str, np.ndarray]:
-    """How a device's drives depend on its posture, as recordings tell it.
+    """How a device's drive torques depend on its posture, from recordings.
 
-    A drive that bears weight gives moments in proportion to the sine of the
-    inclination of each link from its joint on. They are fitted to all trials,
-    besides a constant; where what is left is more than twice the noise of a
-    torque, posture is not what the drive goes by.
+    A drive that carries weight gives moments in proportion to the sine of the
+    inclination of each link beyond its joint. These and a constant are fitted
+    to all trials. A drive whose residual exceeds twice the torque's noise does
+    not follow posture.
 
     Args:
-        trials: with the device where it truly was; without any, nothing is
-            known.
-        drives: (n, m) of each, as from `Wearer.drive` [N m].
+        trials: with the device's true motion; the law is empty without any.
+        drives: torques (n, m) in each trial, as from `Wearer.drive` [N m].
         model: subject and device.
-        noise_nm: of the device's torques.
+        noise_nm: standard deviation of the device's torques.
 
     Returns:
-        Joint -> torque by the sine of each link's inclination (m,), up the
-        device [N m], of each whose drive goes by posture.
+        Joint whose drive follows posture -> torque by the sine of each link's
+        inclination (m,) [N m], links in the order of the device's joints.
     """
     if not trials:
         return {}
@@ -165,7 +164,7 @@ def _link(model: Model, joint: str) -> str:
 
 
 def _turning(model: Model) -> np.ndarray:
-    """Of the device's links, by its angles (m, m): its root stays level."""
+    """Turn of the device's links by its joint angles (m, m), root level."""
     names = model.coordinates
     return np.array(
         [
@@ -176,7 +175,7 @@ def _turning(model: Model) -> np.ndarray:
 
 
 def _inclined(model: Model, q: np.ndarray) -> np.ndarray:
-    """Inclination (n, m) of the device's links as its encoders tell it."""
+    """Inclination (n, m) of the device's links [rad], from its joint angles."""
     return q[:, model.coordinates.device_columns] @ _turning(model).T
 
 
@@ -187,7 +186,7 @@ def posture_slope(
 
     Args:
         model: subject and device.
-        law: as from `posture_law`.
+        law: see `posture_law`.
         q: (n, nq).
     """
     turning, joints = _turning(model), model.coordinates.device
@@ -200,14 +199,13 @@ def posture_slope(
 def passive_torques(
     trial: Trial, model: Model, contact: ContactModel, device: Device | None
 ) -> np.ndarray:
-    """What friction and springs give (n, joints) in a trial [N m].
+    """Torques of friction and springs at the device's joints (n, m) [N m].
 
-    As a bench identified them, friction corrected by what a calibration has
-    found that bench to be off, springs at true angles; zero where there was
-    none.
+    Friction is as identified on a bench, corrected by the error that the
+    calibration found in it; springs are at true angles. Zero without `device`.
 
     Args:
-        trial: measured or solved, whose angles and rates count.
+        trial: measured or solved; its angles and rates are used.
         model: subject and device.
         contact: with the calibration's posterior, if there is one.
         device: as the study file describes it.
@@ -216,7 +214,7 @@ def passive_torques(
         return np.zeros((len(trial.times), len(trial.coordinates.device)))
     share = 1.0 - _found(contact, "friction", trial.coordinates.device)
     friction = friction_moments(device, model.tree, trial.v)
-    # Moments of the study's device are those at angles as they were recorded.
+    # Moments by the study's device model are those at the recorded angles.
     known = None if _is_modelled(trial) else contact
     q = trial.q.copy()
     q[:, trial.coordinates.device_columns] = _device_angles(trial, known)
@@ -225,7 +223,7 @@ def passive_torques(
 
 
 def _found(contact: ContactModel | None, error: str, joints) -> np.ndarray:
-    """Size (m,) of an error of each joint; 0 of what no calibration found."""
+    """Calibrated size (m,) of an error at each joint; 0 if not estimated."""
     known = None if contact is None else contact.posterior
     names = () if known is None else known.names
     return np.array(
@@ -239,8 +237,8 @@ def _found(contact: ContactModel | None, error: str, joints) -> np.ndarray:
 def _device_angles(trial: Trial, contact: ContactModel | None) -> np.ndarray:
     """True angles (n, m) of the device's joints [rad].
 
-    Without encoders they are the person's, and no encoder is off; nor are
-    those of a solution.
+    Recorded ones less the encoders' offsets. Angles of a solution have none,
+    nor those taken from the person where there are no encoders.
     """
     names = trial.coordinates
     if trial.source == "solved" or not has_encoders(trial):
@@ -250,7 +248,7 @@ def _device_angles(trial: Trial, contact: ContactModel | None) -> np.ndarray:
 
 
 def _is_modelled(trial: Trial) -> bool:
-    """Whether the study's device gives the device's moments of a trial."""
+    """Whether a trial's device moments are from the study's device model."""
     source = trial.provenance.get("moments", {}).get("exoskeleton", "")
     return "device model" in source
 
@@ -261,16 +259,17 @@ def assisted(
     contact: ContactModel | None = None,
     passive: np.ndarray | float = 0.0,
 ) -> Trial:
-    """A trial with the device's torques as a design has them.
+    """A trial with the device's torques as a design changes them.
 
-    At the angles and rates of the trial, whatever other cuffs make of them. A
-    factor over the movement is over the whole trial. What the device bears
-    more the person bears less. Cuffs that are left out are not in it.
+    Torques are taken at the trial's own angles and rates, although other cuffs
+    would change those. Factors over the movement span the whole trial. The
+    person's moments are less by what the device's are more. Forces of cuffs
+    that are left out are dropped.
 
     Args:
-        trial: measured, with all torques of the device's joints together.
+        trial: measured; moments are totals of drive, friction and springs.
         design: acts on the drives, at the true angles of their joints.
-        contact: whose calibration has found how far encoders are off.
+        contact: its posterior gives the encoders' offsets.
         passive: see `passive_torques`.
     """
     trial = _without(trial, design.removed)
@@ -287,7 +286,7 @@ def assisted(
 
 
 def with_more(trial: Trial, torques: np.ndarray) -> Trial:
-    """A trial whose device gives more (n, m) [N m], and the person less."""
+    """A trial with `torques` (n, m) [N m] moved from person to device."""
     change = shared_moments(trial.coordinates, torques)
     return replace(trial, moments=trial.moments + change)
 
@@ -299,17 +298,17 @@ class Wearer:
     Attributes:
         name: unique.
         model: subject and device.
-        contact: of today's cuffs.
+        contact: calibrated, with today's cuffs.
         trials: own movements on them, solved (`OwnMovement`).
-        is_drawn: whether drawn from a posterior: then a limit that is not
-            kept today need not be kept.
-        differ: cuff -> what mats show of its force today over what the model
-            has; 1 where nothing measured it.
+        is_drawn: whether drawn from a posterior or of another size: a limit
+            exceeded today is then raised to today's value.
+        differ: cuff -> ratio of its force as mats show it today to the model's;
+            1 if not measured.
         device: as the study file describes it: friction and springs of its
             joints.
-        slid: cuff -> its migration today as encoders and markers tell it over
-            what the model has; 1 where nothing does.
-        law: of its device's drives, see `posture_law`.
+        slid: cuff -> ratio of its migration today by encoders and markers to
+            the model's; 1 if not measured.
+        law: how its drives follow posture, see `posture_law`.
     """
 
     name: str
@@ -331,7 +330,7 @@ class Wearer:
         return self.slid.get(cuff, 1.0)
 
     def passive(self, trial: Trial) -> np.ndarray:
-        """Of the device's joints in a trial, see `passive_torques`."""
+        """Passive torques (n, m) in a trial, see `passive_torques`."""
         return passive_torques(trial, self.model, self.contact, self.device)
 
     @property
@@ -340,10 +339,10 @@ class Wearer:
         return spring_stiffness(self.device, self.model.coordinates)
 
     def drive(self, trial: Trial) -> np.ndarray:
-        """What drives give (n, m) in a trial [N m].
+        """Torques of the drives (n, m) in a trial [N m].
 
-        Nothing where the study's device model gives the torques of one that
-        bears nothing of itself: springs and rotors are no drives.
+        Zero if the torques are from the model of a device that does not carry
+        itself: its springs and rotors are not drives.
         """
         given = trial.moments[:, trial.coordinates.is_device_joint]
         by_model = self.device is not None and _is_modelled(trial)
@@ -352,19 +351,19 @@ class Wearer:
         return given - self.passive(trial)
 
     def slope(self, trial: Trial) -> np.ndarray:
-        """Of the drives' torques in a trial, see `posture_slope`."""
+        """Slope (n, m, m) of the drives' torques, see `posture_slope`."""
         return posture_slope(self.model, self.law, trial.q)
 
 
 def answer(trial: Trial, wearer: Wearer, own: Trial, design: Design) -> Answer:
-    """How drives answer on a design, and springs on any.
+    """How torques of drives and springs change with the device's motion.
 
     Args:
         trial: measured, today.
-        wearer: whose drives' law counts.
-        own: the own movement on the cuffs of today, where drives give what
-            was measured; springs do where the device was measured.
-        design: acts on them, see `assisted`.
+        wearer: `law` of the drives, and `device` with its springs.
+        own: the own movement on today's cuffs, along which drives give the
+            measured torque; springs give theirs along `trial`.
+        design: changes the drives, see `assisted`; springs are not changed.
     """
     drives = drives_answer(trial, wearer, own, design)
     springs = springs_answer(trial.sample(own.times), wearer.device)
@@ -380,7 +379,7 @@ def answer(trial: Trial, wearer: Wearer, own: Trial, design: Design) -> Answer:
 def drives_answer(
     trial: Trial, wearer: Wearer, own: Trial, design: Design
 ) -> Answer:
-    """How drives answer on a design, see `answer`."""
+    """How drive torques on a design change with motion, see `answer`."""
     names = trial.coordinates
     at = trial.sample(own.times)
     angles = _device_angles(at, wearer.contact)
@@ -396,12 +395,10 @@ def drives_answer(
 
 
 def springs_answer(trial: Trial, device: Device | None) -> Answer | None:
-    """How springs answer where the device goes another way than in a trial.
-
-    None where there are none.
+    """How springs' torques change with motion, see `answer`; None without any.
 
     Args:
-        trial: measured.
+        trial: measured; torques are as measured along it.
         device: as the study file describes it.
     """
     springs = spring_stiffness(device, trial.coordinates)
@@ -409,7 +406,7 @@ def springs_answer(trial: Trial, device: Device | None) -> Answer | None:
         return None
     slope = np.tile(np.diag(-springs), (len(trial.times), 1, 1))
     there = -springs * trial.q[:, trial.coordinates.device_columns]
-    # The study's device gives torques of just these angles, right or wrong.
+    # Then the torques belong to just these angles: errors of encoders cancel.
     exact = _is_modelled(trial) or not has_encoders(trial)
     return Answer(
         trial.times, slope, there, 0.0 * springs if exact else springs
@@ -424,7 +421,7 @@ def _without(trial: Trial, removed: Sequence[str]) -> Trial:
 
 
 def less(wearer: Wearer, design: Design) -> Wearer:
-    """A wearer of today, without the cuffs that a design leaves out.
+    """Today's wearer without the cuffs that a design leaves out.
 
     Raises:
         InputError: nothing is left to hold the device.
@@ -442,11 +439,11 @@ def less(wearer: Wearer, design: Design) -> Wearer:
 
 
 def check_population(wearer: Wearer) -> None:
-    """Refuse one whom bodies of a population cannot stand for.
+    """Refuse a wearer who cannot be scaled to a population's bodies.
 
     Raises:
-        InputError: the device does not adjust to a body, or the person has
-            two legs or bears a load.
+        InputError: the device does not adjust to a body, or the person's model
+            has two legs, or a trial has a chair or a load.
     """
     assembly = wearer.model.assembly
     if not assembly.is_fitted or assembly.human.sides:
@@ -521,16 +518,17 @@ def check_wearers(wearers: Sequence[Wearer], settings: DesignSettings) -> None:
 
 
 def drawn(wearer: Wearer, count: int, seed: int = 0) -> list[Wearer]:
-    """Wearers drawn from what a calibration left open.
+    """Wearers with cuff parameters drawn from the calibration's posterior.
+
+    Stiffness and slip are log-normal, so that they stay positive.
 
     Args:
         wearer: as calibrated.
-        count: of draws.
-        seed: of the random numbers.
+        count: number of draws.
+        seed: seed of the random numbers.
 
     Returns:
-        None of them where no calibration says how sure it is. A stiffness is
-        drawn log-normal, so that it stays positive.
+        The drawn wearers; an empty list without a posterior.
     """
     known = wearer.contact.posterior
     if known is None or not count:
@@ -568,11 +566,11 @@ def drawn(wearer: Wearer, count: int, seed: int = 0) -> list[Wearer]:
 
 @dataclass(frozen=True)
 class Size:
-    """A body against that of a calibrated person.
+    """Size of a body relative to that of a calibrated person.
 
     Attributes:
-        name: what it is called.
-        height, mass: as shares of that person's.
+        name: name of the size.
+        height, mass: ratios to that person's.
     """
 
     name: str
@@ -580,7 +578,7 @@ class Size:
     mass: float
 
     def human(self, human: HumanParameters) -> HumanParameters:
-        """The body, all lengths and all masses in proportion."""
+        """The person's body with all lengths and masses scaled."""
         parts = {
             name: replace(
                 part,
@@ -606,13 +604,13 @@ class Size:
         return self.height * x, self.height * z
 
     def contact(self, contact: ContactModel, ankle_m: float) -> ContactModel:
-        """Cuffs and spheres where this body has them.
+        """The person's contact with cuffs and spheres moved to fit this body.
 
-        Tissue is as stiff as the calibrated person's, the sole in proportion
-        to the mass. How sure all that is, nobody knows.
+        Tissue is as stiff as the calibrated person's; spheres' stiffness grows
+        with the mass. There is no posterior: its uncertainty is not known.
 
         Args:
-            contact: of the person.
+            contact: the person's.
             ankle_m: height of the person's ankle above the sole.
         """
         spheres = {
@@ -639,15 +637,15 @@ class Size:
         )
 
     def trial(self, trial: Trial, model: Model, ankle_m: float) -> Trial:
-        """The person's movement in this body, in the same time.
+        """The person's movement by this body, in the same time.
 
-        Joints turn alike; what foot and joints bear follows from the
-        equations of motion; the device gives the same share of the moments.
+        Joint angles are the same; ground reaction and moments follow from the
+        equations of motion; the device's moments scale with mass and height.
 
         Args:
             trial: the person's.
-            model: of this body.
-            ankle_m: height of the person's ankle.
+            model: this body's.
+            ankle_m: height of the person's ankle above the sole.
         """
         names = trial.coordinates
         q, v, a = trial.q.copy(), trial.v.copy(), trial.a.copy()
@@ -675,11 +673,11 @@ class Size:
 def sized(
     wearer: Wearer, population: Population, settings: PredictionSettings
 ) -> list[Wearer]:
-    """Wearers with bodies of a population, who move as one that is known.
+    """Wearers with bodies of a population, who move as a calibrated person.
 
     Args:
         wearer: as calibrated, see `check_population`.
-        population: whose percentiles of height and mass.
+        population: gives percentiles of height and mass.
         settings: noise and grid of their own movements.
 
     Raises:
