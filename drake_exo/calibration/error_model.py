@@ -70,8 +70,7 @@ class Unknown:
     """Unknown size of one error.
 
     Attributes:
-        name: such as "skin.thigh.knee"; begins with the trial's name if it is
-            of one trial only.
+        name: such as "skin.thigh.knee"; with `trial`, begins with its name.
         unit: unit of the size.
         sd: standard deviation of its prior, whose mean is 0.
         trial: the trial it belongs to; None if all share it.
@@ -183,7 +182,7 @@ class ErrorModel:
             if unknown.trial not in (None, at.name):
                 continue
             kind, *rest = unknown.name.split(".")
-            if unknown.trial is not None:  # a trial's name may hold dots
+            if unknown.trial is not None:  # follows the trial's name
                 kind = rest[-1]
             if kind in ("skin", "bend"):
                 segment, joint = rest
@@ -209,8 +208,7 @@ class ErrorModel:
             elif kind == "encoder_clock":
                 q[:, device, k] = -at.v[:, device]
                 v[:, device, k] = -at.a[:, device]
-                # The device's moments lag alike: recorded with its angles, or
-                # computed from them.
+                # Recorded with the angles or computed from them: same lag.
                 if at.moments is not None:
                     exo = at.moments[:, names.is_device_joint]
                     moments[:, :, k] = shared_moments(

@@ -1,1 +1,1 @@
-"""Trajectories of planar trees as mathematical programs."""
+"""Trajectories of planar models as mathematical programs."""

@@ -1,8 +1,8 @@
-"""Human-exoskeleton bushings in a collocation problem, of today or designed.
+"""Kernels of human-exoskeleton bushings, as calibrated or designed.
 
 Components are tangential, normal, rotation, as in `contact.bushing`. Forces
-are on the human; the generalized force of a bushing is -(dd/dq)^T F. What a
-design adds: cuffs that change, forces felt, work done.
+are on the human; the generalized force of a bushing is -(dd/dq)^T F. For a
+design (Phase D): cuffs that change, assistance, forces felt, limits.
 """
 
 from collections.abc import Sequence
@@ -36,10 +36,11 @@ UNITS = np.array(
 
 
 class BushingKernel:
-    """Force that a bushing's law gives, minus the control.
+    """Force by a bushing's law, minus the control.
 
-    Inputs: q, v, force (3), places, stiffness (3): of the origin alone, the
-    last two are CALIBRATED. Outputs: differences in units of 10 N, 10 N, 1 N m.
+    Inputs: q, v, force (3), places (the origin first), stiffness (3), slip: if
+    places are the origin alone, CALIBRATED from there on. Outputs: differences
+    in units of 10 N, 10 N, 1 N m.
 
     Args:
         bushing: the geometry.
@@ -104,8 +105,8 @@ class BushingKernel:
     def curvature(self, x, weights, data):
         """sum_i weights_i d2 f_i/dx2, (n, n_in, n_in), of the springs.
 
-        Stiffness times deflection: without this a solver that does not know
-        the stiffness creeps. What damping adds is left out.
+        Force is stiffness times deflection: without this, steps are short while
+        the stiffness is unknown. The part of damping is left out.
         """
         q, _, _, places, stiffness, slip = self._split(x)
         b, nq = self._bushing, self.nq
@@ -113,7 +114,7 @@ class BushingKernel:
         terms, turns = b.terms(q, places), b.turns(q)
         D, d = b.deflection_jacobian(terms), b.deflection(q, terms)
         o, k = slice(2 * nq + 3, self._k), slice(self._k, self._k + 3)
-        # The spring along the limb, were it held, and how it bends.
+        # Gradient of the tangential spring's force without slip; then its slip.
         along = np.zeros(x.shape)
         along[:, :nq] = stiffness[:, [0]] * D[:, 0]
         along[:, o] = stiffness[:, [0]] * b.by_places(turns)[:, 0]
@@ -145,25 +146,25 @@ def _add_pair(H, rows, columns, part) -> None:
 
 
 def slipping(force, slip) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes of a cuff's force along the limb, see `contact.bushing`.
+    """Derivatives of a slipping cuff's force, see `contact.bushing`.
 
     Args:
-        force: (n,) of the spring if it did not slip [N].
-        slip: (n,) [1/N].
+        force: (n,) k d, the tangential spring's force without slip [N].
+        slip: (n,) s, inverse of the largest force [1/N].
 
     Returns:
-        By that force, and by `slip` [N^2].
+        Derivatives (n,) by `force` [1] and by `slip` [N^2].
     """
     share = held_share(force, slip)
     return share**5, -(force**2) * (slip * force) ** 3 * share**5
 
 
 def slipping_bends(force, slip) -> tuple[np.ndarray, np.ndarray]:
-    """Second derivatives of the same.
+    """Second derivatives of a slipping cuff's force, see `slipping`.
 
     Returns:
-        By `force` twice over `slip`, which is that by both over `force`; and
-        by `slip` twice.
+        p (n,): twice by `force` it is p slip, by both it is p force; and the
+        second derivative by `slip` (n,) [N^3].
     """
     past, share = (slip * force) ** 4, held_share(force, slip)
     by_both = -5.0 * (slip * force) ** 3 * share**9
@@ -172,15 +173,15 @@ def slipping_bends(force, slip) -> tuple[np.ndarray, np.ndarray]:
 
 
 class EnergyKernel:
-    """Contact energy 1/2 k d^2 of a bushing's components, in joules / unit.
+    """Contact energy 1/2 k d^2 of some components of a bushing, over sigma.
 
-    Inputs: q, origin (2), stiffness (3), slip. Outputs: one for each component
-    named, times the weight in `data` (n, 1); the cost is half the sum of their
-    squares (paper, Table I).
+    d is the deflection without what slips. Inputs: q, origin (2), stiffness
+    (3), slip. Outputs: energy of each component over sigma, times the weight in
+    `data` (n, 1); the cost is half the sum of squares (paper, Table I).
 
     Args:
         bushing: the geometry.
-        components: indices of tangential 0, normal 1, rotation 2.
+        components: indices: tangential 0, normal 1, rotation 2.
         sigma: typical energy [J].
     """
 
@@ -216,7 +217,7 @@ class EnergyKernel:
         terms = b.terms(q, origin)
         d = b.deflection(q, terms)
         J = np.zeros((len(x), 3, nq + 6))
-        # E = F^2/2k: by the deflection F dF/d(k d), by k of what is held.
+        # E = F^2/(2 k), F(k d, slip): F dF/d(k d) by d; by_stiffness by k.
         force, by_stiffness = k * d, 0.5 * d * d
         slope, by_slip = slipping(force[:, 0], slip[:, 0])
         share = slope**0.2
@@ -232,19 +233,21 @@ class EnergyKernel:
 
 
 PLACE_UNIT = 0.01  # m
-# Keeps the norm of a force smooth at zero, in parts of its scale, squared.
+# Added to the square of a force over its scale: its norm is smooth at zero.
 _SMALL = 1e-6
 
 
 @dataclass(frozen=True)
 class MovedWeight:
-    """What hangs on a place of a cuff, see DesignDynamicsKernel.
+    """Weight of links that move with a place of a cuff.
+
+    See DesignDynamicsKernel.
 
     Attributes:
-        bushing, place: number of the bushing, and of its place.
-        segment: of the tree, with which the place turns.
-        weight: force of gravity on what moves along [N], times the complex
-            direction x + i z of the place in the segment.
+        bushing, place: index of the bushing, and of one of its places.
+        segment: segment of the tree with which the place turns.
+        weight: force of gravity on the links that move along [N], times the
+            complex direction x + i z of the place in the segment.
     """
 
     bushing: int
@@ -254,14 +257,13 @@ class MovedWeight:
 
 
 class DesignDynamicsKernel(DynamicsKernel):
-    """DynamicsKernel with what a design needs besides.
+    """DynamicsKernel for a design: curvature, and weight of moved links.
 
-    The curvature of the cuffs' part: where they move, forces and moment arms
-    change together, and without it a design creeps for hundreds of
-    iterations. And the weight of links whose joints move. That their inertia
-    moves, too, is left out: in a rise of 1.5 s that is 0.16 N m a centimetre
-    at most, where weight is 1 N m; the forecast on the device as it is built
-    has all of it.
+    It knows the curvature of the cuffs' part: as cuffs move, forces and moment
+    arms change together, and without it a design takes hundreds of iterations
+    more. It adds the weight of links whose joints are moved, but not their
+    inertia: in a rise of 1.5 s at most 0.16 N m per centimetre, against 1 N m
+    of weight. The forecast on the device as built has both.
     """
 
     def __init__(
@@ -308,7 +310,7 @@ class DesignDynamicsKernel(DynamicsKernel):
         return J
 
     def curvature(self, x, weights, data):
-        """sum_i weights_i d2 f_i/dx2, but for the bodies' own dynamics."""
+        """sum_i weights_i d2 f_i/dx2 without that of inverse dynamics."""
         nq = self.num_positions
         q, w = x[:, :nq], weights / FORCE_UNIT
         H = np.zeros((len(x), x.shape[1], x.shape[1]))
@@ -333,17 +335,17 @@ class DesignDynamicsKernel(DynamicsKernel):
 
 
 class CuffKernel:
-    """Ties a wearer's cuff to a design, 0 where it is as designed.
+    """Ties a wearer's cuff to the design; zero if it is as designed.
 
-    Inputs: origin (2) and stiffness (3) of the cuff, then place x, z of the
-    design [m], compliance of its straps (3) [m/N, m/N, rad/(N m)], its area
-    against today's, and the shares of the springs along the limb and in
-    rotation that are taken away (2). Outputs: origin - own origin - place,
-    stiffness (own compliance/area^n + that of the strap) - 1 + that share.
-    Data: (1, 5) own origin and own compliance.
+    Inputs: origin (2) and stiffness (3) of the cuff; of the design its shift
+    x, z [m], compliance of its straps (3) [m/N, m/N, rad/(N m)], area relative
+    to today's, and released shares of the springs along the limb and in
+    rotation (2). Outputs: origin - today's origin - shift, in cm; stiffness
+    (today's compliance/area^n + the strap's) - 1 + released share (0 across).
+    Data: (1, 5) today's origin and compliance.
 
     Args:
-        powers: (3,) n of each stiffness.
+        powers: (3,) exponent n for each stiffness.
     """
 
     def __init__(self, powers):
@@ -394,14 +396,14 @@ class CuffKernel:
 
 
 class AssistanceKernel:
-    """Torque of a joint of the device minus what a design makes of it.
+    """Torque of a joint of the device minus that by the design.
 
-    That is linear in k design variables; the torque of today, which some of
-    them multiply, changes with the device's posture. Inputs: torque [N m],
-    the device's m angles [rad], the variables (k). Data (n, 2 k + 2 m + 1):
-    torque of today by each variable, its change by each with the torque of
-    today, slope of that by the angles [N m/rad], slope times angles of today
-    [N m], and the slope of what no variable multiplies.
+    The design's is linear in k variables. Today's drive torque, which some of
+    them multiply, changes with the device's posture. Inputs: torque [N m], the
+    device's m angles [rad], the variables (k). Data (n, 2 k + 2 m + 1): torque
+    by each variable at today's drive torque; its derivative by the drive
+    torque; the drive torque's slope by the angles [N m/rad]; that times today's
+    angles [N m]; and the slope of springs, which no variable multiplies (m).
 
     Args:
         num_angles, num_points: m and k.
@@ -413,7 +415,7 @@ class AssistanceKernel:
         self.sparsity = np.ones((1, 1 + num_angles + num_points), bool)
 
     def _parts(self, x, data):
-        """Variables, torque by each, its change by each, both slopes."""
+        """Variables, torque by each, its derivative, slopes; see Data."""
         _, angles, factors = np.split(x, self._at, axis=1)
         today, change, slope, there, springs = np.split(data, self._in, axis=1)
         answer = np.sum(slope * angles, axis=1, keepdims=True) - there
@@ -447,14 +449,14 @@ class AssistanceKernel:
 
 
 class ForceNormKernel:
-    """A cuff's force on its skin to a power: half its square sums to a norm.
+    """A cuff's force on the skin to a power; half the squares sum to a norm.
 
-    Inputs: force along and across the limb [N], area against today's. Output:
-    the weight in `data` (n, 1) times u^(order/4), u = (across^2 + shear
+    Inputs: force along and across the limb [N], area relative to today's.
+    Output: the weight in `data` (n, 1) times u^(order/4), u = (across^2 + shear
     along^2)/(scale area)^2.
 
     Args:
-        order: of the norm, from 2 on.
+        order: order of the norm, at least 2.
         scale: typical force [N].
         shear: weight of the square of the force along the limb.
     """
@@ -469,7 +471,7 @@ class ForceNormKernel:
         return x[:, :2] ** 2 @ self._weights / x[:, 2] ** 2 + _SMALL
 
     def _slopes(self, x):
-        """Of the square."""
+        """Derivatives (n, 3) of the square u by the inputs."""
         along = 2.0 * x[:, :2] * self._weights / x[:, [2]] ** 2
         by_area = -2.0 * (self._square(x) - _SMALL) / x[:, 2]
         return np.column_stack([along, by_area])
@@ -499,9 +501,9 @@ class ForceNormKernel:
 
 
 class MigrationKernel:
-    """Deflection along the limb minus a variable, both [m].
+    """Migration (deflection along the limb) minus its variable, in cm.
 
-    Inputs: q, places of the cuff, the variable. Output in units of 1 cm.
+    Inputs: q, places of the cuff, the variable [m].
     """
 
     def __init__(self, bushing: BushingKinematics):
@@ -541,14 +543,14 @@ class MigrationKernel:
 
 
 class ProductKernel:
-    """What a product of two variables makes, such as pressure times area.
+    """A variable minus a product of two, such as force = pressure times area.
 
-    Inputs: whole, a, b; data: what a counts from (0 by default). Output whole
-    - factor (a - a0) b, in units of `unit`.
+    Inputs: whole, a, b; data: (n, 1) a0, or None for 0. Output: whole - factor
+    (a - a0) b, in units of `unit`.
 
     Args:
-        factor: of the product.
-        unit: of the output.
+        factor: factor of the product.
+        unit: unit of the output.
     """
 
     sparsity = np.ones((1, 3), bool)

@@ -1,16 +1,15 @@
-"""Starts of a program: feet that their contact carries, and a straight line.
+"""Initial guesses: feet settled onto the measured forces; a straight line.
 
-Measured feet are off by millimetres, which is kilonewtons on stiff spheres.
+Measured feet are off by millimetres, which means kilonewtons on stiff spheres.
 Before a solve the foot is lowered, tilted and made to creep at each node, so
-that the contact law gives the ground reaction that was measured and nothing
-springs. The force on each sphere follows from statics, and the law is monotone
-in the indentation and in the slip velocity, so both are found by bisection:
-nothing can diverge.
+that the contact law gives the measured ground reaction (`settle_foot`). Statics
+gives the force on each sphere. The law is monotone in the indentation and in
+the slip velocity, so both are found by bisection, which cannot diverge.
 
-Feet that roll, lift and come down again are not flat all the time: pitch
-stays near what was measured, since heel strike and push-off stand on one end
-of the sole; the height is what gives the measured force at that pitch; where
-the foot bears nothing it is carried clear of the ground.
+Feet of two legs roll, lift and come down again (`settle_rolling`). Their pitch
+stays near the measured one, since at heel strike and push-off a foot stands on
+one end of the sole; their height is the one that gives the measured force at
+that pitch; in the air they are kept clear of the ground.
 """
 
 import numpy as np
@@ -25,15 +24,15 @@ from drake_exo.measurement.filters import minimum_jerk
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
 
-# Each sphere bears at least this share, so that the foot stays on both.
+# Each sphere bears at least this share, so that both touch the ground.
 _LEAST_SHARE = 0.02
 _LEAST_FORCE = 1.0  # N, on each sphere
 # Brackets: clearance and indentation [m], slip velocity [m/s].
 _CLEARANCE = 0.05
 _DEEPEST = 0.2
 _FASTEST = 0.2
-_BISECTIONS, _STRAIGHT = 24, 6  # the last of them by false position
-_TILTS = 30  # bisections of the pitch, where there are more than two spheres
+_BISECTIONS, _STRAIGHT = 24, 6  # steps; the last ones by false position
+_TILTS = 30  # bisections of the pitch, for more than two spheres
 _LARGEST_SLOPE = 0.5  # sine of the foot's tilt
 _PASSES = 3
 _X, _Z, _RADIUS = (SPHERE_PARAMETERS.index(k) for k in ("x", "z", "radius"))
@@ -47,11 +46,11 @@ def settle_foot(
     foot: np.ndarray,
     ground: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Foot motion whose contact forces are the given ones.
+    """Motion of a standing foot whose contact forces are the given ones.
 
     Sinking is taken as slow: the dissipative part of the force is left out.
-    Statics shares the force between two spheres; if there are more, all of
-    them give it together, with the same centre.
+    Statics shares the force between two spheres; if there are more, they give
+    it together, with the same centre of pressure.
 
     Args:
         kernel: the contact law, of two spheres or more.
@@ -61,9 +60,9 @@ def settle_foot(
         ground: (n, 3) F_x, F_z, M_y about the laboratory origin.
 
     Returns:
-        Foot positions (n, 3) and velocities (n, 3). Where the law cannot
-        give the force (centre of pressure off the foot, more than friction
-        holds), the nearest is returned: it is only a guess.
+        Foot positions (n, 3) and velocities (n, 3). If the law cannot give the
+        force (centre of pressure off the foot, beyond friction), the nearest
+        that it can is taken: it is only a guess.
     """
     spheres = np.asarray(parameters, float)
     spheres = spheres.reshape(kernel.num_spheres, len(SPHERE_PARAMETERS))
@@ -72,7 +71,7 @@ def settle_foot(
     q = foot.astype(float)
     drift, height = np.zeros(len(times)), np.zeros(len(times))
     for _ in range(_PASSES):
-        # The drift is kept about the measured place.
+        # The mean place stays the measured one.
         q[:, 0] = foot[:, 0].mean() + drift - drift.mean()
         loads = _loads(ends, q, ground, height)
         if len(spheres) == 2:
@@ -88,10 +87,10 @@ def settle_foot(
 
 
 def straight_line(trial: Trial, times: np.ndarray) -> Trial:
-    """Minimum-jerk line between a trial's end states, without its data.
+    """Minimum-jerk line between a trial's end positions.
 
     Args:
-        trial: first and last positions are used.
+        trial: only its first and last positions are used.
         times: (n,) from 0 [s].
     """
     start, change = trial.q[0], trial.q[-1] - trial.q[0]
@@ -110,13 +109,13 @@ def straight_line(trial: Trial, times: np.ndarray) -> Trial:
 
 
 def _loads(spheres, q, ground, height):
-    """Normal force (n, 2) on heel and toe that F_z and M_y ask for [N].
+    """Normal force (n, 2) on heel and toe that balances F_z and M_y [N].
 
     Args:
         spheres: parameters (2, 5), heel first.
         q: (n, 3) of the foot.
         ground: (n, 3) reaction.
-        height: (n,) of the point where it acts [m].
+        height: (n,) height of the point where it acts [m].
     """
     x = q[:, :1] + _reach(spheres[:, _PLACE], q[:, 2])[0]
     total = np.maximum(ground[:, 1], 2.0 * _LEAST_FORCE)
@@ -128,11 +127,11 @@ def _loads(spheres, q, ground, height):
 
 
 def _reach(places, pitch):
-    """How far centres are before and above the foot's origin, (2, n, m) [m].
+    """Centres of spheres ahead of and above the foot's origin, (2, n, m) [m].
 
     Args:
-        places: (m, 2) in the foot, or (n, m, 2).
-        pitch: (n,).
+        places: (m, 2) in the foot frame, or (n, m, 2) [m].
+        pitch: (n,) of the foot [rad].
     """
     c, s = np.cos(pitch)[:, None], np.sin(pitch)[:, None]
     x, z = places[..., 0], places[..., 1]
@@ -140,7 +139,7 @@ def _reach(places, pitch):
 
 
 def _apart(kernel, spheres, loads):
-    """The pose at which each of two spheres bears its own load.
+    """Pose of the foot at which each of two spheres bears its load.
 
     Returns:
         Height and pitch (n, 2), indentations (n, 2).
@@ -169,16 +168,16 @@ def _height(law, spheres, loads, depths):
 
 
 def _together(kernel, spheres, q, loads):
-    """The pose at which all spheres give what the outer two should.
+    """Pose at which all spheres give the force and moment of the outer two.
 
-    At any pitch one height gives the force; the further the toes are up, the
-    further back its centre.
+    At each pitch one height gives the force; the higher the toes, the further
+    back its centre.
 
     Args:
         kernel: the law.
         spheres: parameters (m, 5), hindmost first.
-        q: (n, 3) of the foot, at which statics found the loads.
-        loads: (n, 2) that the outer two would bear there [N].
+        q: (n, 3) pose of the foot at which `loads` were found.
+        loads: (n, 2) by statics on the outer two spheres [N].
 
     Returns:
         Height and pitch (n, 2), loads and indentations (n, m).
@@ -202,15 +201,15 @@ def _together(kernel, spheres, q, loads):
 
 
 def sunk(kernel, spheres, places, pitch, force, clearance):
-    """Height of a foot that gives a force.
+    """Height of a foot at which the law gives a vertical force.
 
     Args:
         kernel: the law.
         spheres: parameters (m, 5).
-        places: (n, m, 2) or (m, 2) their centres in the foot [m].
-        pitch: (n,) of the foot.
-        force: (n,) vertical one of all of them [N].
-        clearance: above the ground, where there is none.
+        places: (n, m, 2) or (m, 2) their centres in the foot frame [m].
+        pitch: (n,) of the foot [rad].
+        force: (n,) vertical force of all spheres [N].
+        clearance: largest height of the lowest point above the ground [m].
 
     Returns:
         Height (n,), indentations (n, m) [m] and forces (n, m) [N].
@@ -265,9 +264,9 @@ def slip_velocity(kernel, spheres, loads, force_x):
 
 
 def bisected(increasing, lower, upper, shape, steps=_BISECTIONS):
-    """Roots of all entries at once; an end where there is none.
+    """Roots of increasing functions, all entries at once; else the near end.
 
-    Bisection, then false position in what is left, which hardly bends.
+    Bisection, then false position in the remaining, nearly linear interval.
     """
     low, high = np.full(shape, lower), np.full(shape, upper)
     below, above = np.full(shape, -1.0), np.full(shape, 1.0)
@@ -283,11 +282,11 @@ def bisected(increasing, lower, upper, shape, steps=_BISECTIONS):
 
 
 _LOADED_N = 5.0
-_PITCH_RAD = 0.1  # that the settled foot may turn from the measured one
-_SMOOTH_S = 0.02  # of that turn
-_FADE_S = 0.1  # of offsets, while the foot is in the air
-_CLEAR_M = 0.005  # of a foot that bears nothing
-_HIGHEST_M, _PITCHES = 0.3, 20  # of a foot that is lowered; bisections
+_PITCH_RAD = 0.1  # largest turn of the settled foot from the measured one
+_SMOOTH_S = 0.02  # width of the Gaussian filter of that turn
+_FADE_S = 0.1  # time in which offsets fade while the foot is in the air
+_CLEAR_M = 0.005  # least clearance of a foot in the air
+_HIGHEST_M, _PITCHES = 0.3, 20  # height to lower a foot from; bisections
 
 
 def settle_rolling(
@@ -298,12 +297,12 @@ def settle_rolling(
     foot: np.ndarray,
     ground: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Motion of a foot whose contact forces are near the given ones.
+    """Motion of a stepping foot whose contact forces are near the given ones.
 
     Args:
         kernel: the law.
         spheres: parameters (m, 5) of all spheres under the foot.
-        places: (n, m, 2) their centres in the foot; those of hinged toes move.
+        places: (n, m, 2) their centres in the foot frame (hinged toes move).
         times: (n,) [s].
         foot: (n, 3) x, z, pitch as measured [m, rad].
         ground: (n, 3) F_x, F_z, M_y about the laboratory origin.
@@ -341,19 +340,19 @@ def settle_rolling(
 
 
 def _pitches(kernel, spheres, places, q, ground, loaded):
-    """Turn (k,) of the loaded foot that moves its load under the force."""
+    """Turn (k,) at the loaded nodes that puts the load under the CoP [rad]."""
     places, at, w = places[loaded], q[loaded], ground[loaded]
     centre = -w[:, 2] / w[:, 1] - at[:, 0]
 
     def behind(turn):
-        """Toes up, and the force goes back."""
+        """How far the load is behind the CoP [m]; it increases with turn."""
         pitch = at[:, 2] + turn
         ahead, _ = _reach(places, pitch)
         *_, force = sunk(kernel, spheres, places, pitch, w[:, 1], _HIGHEST_M)
         return centre - np.sum(force * ahead, axis=1) / force.sum(axis=1)
 
     turn = bisected(behind, -_PITCH_RAD, _PITCH_RAD, centre.shape, _PITCHES)
-    # On one end of the sole no turn brings the load there.
+    # A foot on one end of its sole cannot reach the CoP by turning.
     return np.where(np.abs(turn) < 0.99 * _PITCH_RAD, turn, 0.0)
 
 
@@ -368,13 +367,13 @@ def _creep(kernel, spheres, places, times, q, v, ground, rows) -> None:
     slip = slip_velocity(kernel, spheres, force, ground[rows, 0])
     v[rows, 0] = slip - (q[rows, 1] - height) * v[rows, 2]
     path = cumulative_trapezoid(v[rows, 0], times[rows], initial=0.0)
-    # Kept about the measured place, most of all where it bears most.
+    # The mean place, weighted by load, stays the measured one.
     weight = ground[rows, 1]
     q[rows, 0] = path + np.average(q[rows, 0] - path, weights=weight)
 
 
 def _bridged(off, loaded, times):
-    """Offsets (n,) of loaded samples, fading over the others."""
+    """Offsets (n,): as given at loaded nodes, fading to 0 away from them."""
     if loaded.all() or not loaded.any():
         return off
     (nearest,) = distance_transform_edt(

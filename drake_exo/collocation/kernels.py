@@ -1,14 +1,12 @@
-"""Equations of a planar model on a ground, for all nodes at once.
+"""Kernels of a planar model's motion and ground contact, for all nodes at once.
 
-Forces enter as decision variables ("controls"), so the equations of motion
+Contact forces are decision variables ("controls"), so the equations of motion
 and the contact laws are two algebraic constraints at each node.
 
-So do other loads. A measured wrench, such as the chair's, is data at each node,
-but where the body is is not: a chair bears hundreds of newtons, and a hip that
-lies a centimetre from where markers saw it changes joint moments by newton
-metres. So its generalized force depends on q as in the Diagram, instead of
-being evaluated along the measured motion. A controller is a LeafSystem that
-gives the device's torques.
+A measured wrench, such as the chair's, is data at each node. Its generalized
+force depends on q as in the Diagram: a chair bears hundreds of newtons,
+so a hip that is a centimetre from where markers saw it changes joint moments by
+newton metres. A controller is a LeafSystem that gives the device's torques.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,17 +41,17 @@ WRENCH_UNITS = np.array([FORCE_UNIT, FORCE_UNIT, GROUND_MOMENT_UNIT])
 class DynamicsKernel:
     """Inverse-dynamics residual of a model on the ground, in a device or not.
 
-    Inputs: q, v, a (nq each), joint torques (nj), then of each body the ground
-    reaction F_x, F_z and M_y about the laboratory origin, the bushings' forces
-    (3 each: N, N, N m), and their places (see BushingKinematics). Data: of a
-    load its wrenches (n, 3 m), as `AppliedWrench.at`. Outputs (nq): generalized
-    force missing in each coordinate, in units of 100 N and 100 N m.
+    Inputs: q, v, a (nq each), joint torques (nj), ground reaction F_x, F_z and
+    M_y about the laboratory origin on each body, the bushings' forces (3 each:
+    N, N, N m), and their places (see BushingKinematics). Data: wrenches
+    (n, 3 m) of a load, see `AppliedWrench.at`. Outputs (nq): residual
+    generalized force of each coordinate, in units of 100 N and 100 N m.
 
     Args:
         tree: the model.
-        bodies: that touch the ground; the root by default.
-        bushings: of the cuffs.
-        load: what acts besides, if anything.
+        bodies: bodies that touch the ground; the root by default.
+        bushings: kinematics of the cuffs.
+        load: further wrenches on the model, if any.
     """
 
     def __init__(
@@ -76,12 +74,12 @@ class DynamicsKernel:
         sizes = [3] * len(bushings) + [b.num_places for b in bushings]
         ends = self._cuts[-1] + np.cumsum([0, *sizes])
         slices = [slice(*pair) for pair in pairwise(ends)]
-        # Of each its kinematics, and columns of force and places.
+        # Each cuff's kinematics, and columns of its force and places.
         own = slices[: len(bushings)], slices[len(bushings) :]
         self._cuffs = list(zip(bushings, *own, strict=True))
         pattern = np.zeros((nq, ends[-1]), bool)
         pattern[:, : 3 * nq] = True
-        # No force depends on where the model stands or drifts.
+        # Inverse dynamics does not depend on the root's place and velocity.
         x, z, _ = self._root
         for column in (x, z, nq + x, nq + z):
             pattern[:, column] = False
@@ -89,7 +87,7 @@ class DynamicsKernel:
         pattern[self._joints, first + np.arange(len(self._joints))] = True
         for i, body in enumerate(self._bodies):
             turned = tree.moving(body) | (tree.turning(body) != 0.0)
-            # Of a wrench about the laboratory's origin.
+            # Its moment is about the laboratory's origin.
             pattern[np.ix_(turned, [x, z])] = True
             columns = self._cuts[3] + 3 * i + np.arange(3)
             pattern[np.ix_(turned, columns)] = True
@@ -146,14 +144,14 @@ class DynamicsKernel:
 
 
 class PoseKernel:
-    """Pose and motion of a body, minus its variables.
+    """Pose of a body and its rates by kinematics, minus their variables.
 
     Inputs: q, v (nq each), then x, z, angle of the body and their rates.
     Outputs: the six differences [m, rad; m/s, rad/s].
 
     Args:
         tree: the model.
-        body: its name.
+        body: name of the body.
     """
 
     def __init__(self, tree: PlanarTree, body: str):
@@ -174,7 +172,7 @@ class PoseKernel:
         self.curved_inputs[:nq] = self.curved_inputs[nq : 2 * nq] = moved
 
     def poses(self, q, v) -> np.ndarray:
-        """x, z, angle and their rates, (n, 6)."""
+        """x, z, angle of the body and their rates, (n, 6)."""
         place, angle, motion = self._tree.link_motion(q, v, self._body)
         return np.column_stack([place.T, angle, motion.T])
 
@@ -190,7 +188,7 @@ class PoseKernel:
         J = np.zeros((len(x), *self.sparsity.shape))
         J[:, :2, :nq] = self._tree.point_jacobian(q, self._body)
         J[:, 2, :nq] = self._turn
-        # A rate turns what an arm changes by: (-z, x) to (-x, -z).
+        # The derivative of an arm's (-z, x) by its angle is (-x, -z).
         arms = self._tree.arms(q, self._body)
         J[:, 3:5, :nq] = (-(v @ T.T) * arms @ T).transpose(1, 0, 2)
         J[:, 3:, nq : 2 * nq] = J[:, :3, :nq]
@@ -200,7 +198,7 @@ class PoseKernel:
     def curvature(self, x, weights, data):
         """sum_i weights_i d2 f_i/dx2, (n, n_in, n_in).
 
-        Stiff spheres weigh on the ties between their feet and the joints.
+        It matters because stiff spheres make the multipliers large.
         """
         nq, tree = self._nq, self._tree
         arm_x, arm_z = tree.arms(x[:, :nq], self._body)
@@ -217,17 +215,17 @@ class PoseKernel:
 
 
 class FootGroundKernel:
-    """Ground reaction that the spheres' law gives, minus the control.
+    """Ground reaction by the spheres' law, minus the control.
 
     Inputs: q, v of the foot (x, z, pitch), F_x, F_z, M_y (about the
     laboratory origin), then for each sphere stiffness, dissipation, x and z
     of its centre in the foot frame, and radius (SPHERE_PARAMETERS).
     Outputs: differences in units of 100 N, 100 N, 10 N m, the last about the
-    foot: however far a walk has come, a newton too much is the same there.
+    foot, so that it does not grow with the distance walked.
 
     Args:
-        contact: law, constants, and how many spheres; their parameters are
-            inputs.
+        contact: gives law, constants and number of spheres; the spheres'
+            parameters are inputs.
     """
 
     def __init__(self, contact: GroundContact):
@@ -247,7 +245,7 @@ class FootGroundKernel:
         """The law's F_x, F_z [N] and M_y about the laboratory's origin [N m].
 
         Args:
-            x: (n, n_in) inputs; F_x, F_z, M_y among them do not count.
+            x: (n, n_in) inputs; F_x, F_z, M_y among them are not used.
 
         Returns:
             (n, 3).
@@ -304,11 +302,11 @@ class FootGroundKernel:
     def curvature(self, x, weights, data):
         """sum_i weights_i d2 f_i/dx2, (n, n_in, n_in).
 
-        The law is so stiff that without this the solver's steps overshoot;
-        derivatives by the radius, which is coupled with z, are left out.
+        The law is so stiff that steps overshoot without it. Derivatives by the
+        radius, which is coupled with z, are left out.
         """
         H = np.zeros((len(x), x.shape[1], x.shape[1]))
-        # The foot moves what the moment is about.
+        # The point about which the moment is taken moves with the foot.
         turning = (weights[:, 2] / WRENCH_UNITS[2])[:, None]
         J = self.jacobian(x, data) * WRENCH_UNITS[:, None]
         for k, by_place in ((0, turning * J[:, 1]), (1, -turning * J[:, 0])):
@@ -342,7 +340,7 @@ class FootGroundKernel:
         n = inputs.shape[1]
         steps = np.tile([[1e-7], [1e-6], [1e-6], [1e-5], [1e-5], [1e-5]], n)
         steps[4] *= p[0]
-        # As they are, then with each but the first a step up, a step down.
+        # Unchanged; each input but the first a step up; a step down.
         moves = np.zeros((7, 13, n))
         k = np.arange(1, 7)
         moves[k, k], moves[k, 6 + k] = steps, -steps
@@ -403,7 +401,7 @@ class FootGroundKernel:
 
 
 class SoleKernel:
-    """How far spheres under a body are above the ground.
+    """Height of spheres under a body above the ground.
 
     Inputs: x, z, angle of the body and their rates. Outputs: height of each
     sphere's lowest point [m].
@@ -457,7 +455,7 @@ def _motion_curvature(x, p, gradient):
 
 
 class AppliedWrench:
-    """Wrenches over time, each on bodies of a model by share.
+    """Given wrenches over time, each shared by bodies of a model.
 
     Args:
         tree: the model.
@@ -505,19 +503,19 @@ TORQUE_PORT = "exoskeleton_torques"
 
 
 class ControllerKernel:
-    """Torques that a stateless controller gives, minus the control.
+    """Torques by a stateless controller, minus the control.
 
     Inputs: the angles, rates and torques of the device's m joints. Data:
     (n, 1) time [s]. Outputs (m): differences in units of 100 N m.
 
     Args:
-        controller: has the input port exoskeleton_state (2 m: angles, rates)
-            and the output port exoskeleton_torques (m) [N m], no state, and
-            converts to AutoDiffXd.
+        controller: LeafSystem without state that has the input port
+            exoskeleton_state (2 m: angles, rates) and the output port
+            exoskeleton_torques (m) [N m], and converts to AutoDiffXd.
         num_joints: m.
 
     Raises:
-        InputError: it is not such a system.
+        InputError: the controller is not such a system.
     """
 
     def __init__(self, controller: System, num_joints: int):
@@ -563,11 +561,11 @@ class ControllerKernel:
         )
 
     def _try(self) -> None:
-        """Ask for torques at rest and bent, with and without derivatives.
+        """Evaluate torques at rest and bent, with and without derivatives.
 
         Raises:
-            InputError: ports of other sizes, or it cannot say, or says
-                otherwise where it tells derivatives.
+            InputError: ports have other sizes, evaluation fails, or the system
+                for AutoDiffXd gives other torques.
         """
         rest = np.zeros(2 * self._m)
         try:
@@ -617,7 +615,7 @@ class ControllerKernel:
                 InitializeAutoDiff(row[: 2 * m]).ravel(), float(t), True
             )
             gradient = ExtractGradient(torque)
-            # Empty where the controller depends on time alone.
+            # Empty if the torques depend on time alone.
             if gradient.size:
                 J[i, :, : 2 * m] = gradient
         J[:, np.arange(m), 2 * m + np.arange(m)] = -1.0

@@ -1,11 +1,11 @@
-"""Jerk-driven trajectories in a program: two collocation grids, one face.
+"""Jerk-driven trajectories in a program: two collocation grids, one interface.
 
-The states of every coordinate are position, velocity and acceleration, the
+The states of every coordinate are position, velocity and acceleration; the
 control is jerk (implicit dynamics: the equations of motion are algebraic
-constraints added by the caller). This integrator is linear and the duration
-is given, so the collocation constraints are linear with constant
-coefficients, and each grid knows a sparse basis of their solutions: the
-bridge to IPOPT may substitute it and drop them.
+constraints that the caller adds). This integrator is linear and the duration
+is given, so the collocation constraints are linear with constant coefficients.
+Each grid has a sparse basis of their solutions, with which the bridge to IPOPT
+may substitute the trajectory and drop the constraints.
 """
 
 from abc import ABC, abstractmethod
@@ -19,11 +19,11 @@ from scipy.interpolate import BSpline
 
 from drake_exo.nlp.program import BatchedProgram, LinearKernel, Substitution
 
-FEWEST = 4  # mesh intervals of a trial
+FEWEST = 4  # least number of mesh intervals of a trial
 # Typical sizes of position, velocity, acceleration, jerk [rad or m, s].
 _SIZES = (1.0, 1.0, 10.0, 100.0)
-# How well a guess is to be kept: a tenth of a millimetre is tens of newtons
-# of contact force, while accelerations of a guess mean little.
+# Tolerance to which a guess of each is kept: a tenth of a millimetre is tens of
+# newtons of contact force, while accelerations of a guess mean little.
 _ACCURACY = (1e-4, 1e-2, 3.0, 1e4)
 
 
@@ -33,20 +33,20 @@ class Transcription(ABC):
     Attributes:
         times: (n,) node times from 0 to duration [s].
         quadrature: (n,) weights of an integral over time [s].
-        parts: see below.
+        parts: see below, broadcast to (num_intervals,).
         mesh: (m + 1,) ends of the mesh intervals [s].
         q, v, a: (n, n_dof) decision variables.
         jerk: (n_controls, n_dof) decision variables; one row for each node,
-            but for a grid whose first node is not a collocation point.
+            except for a first node that is not a collocation point.
 
     Args:
-        program: to add to.
-        name: of the trajectory.
-        num_dof: coordinates.
+        program: program to add to.
+        name: name of the trajectory.
+        num_dof: number of coordinates.
         duration: [s].
-        num_intervals: of even length, `FEWEST` at least.
-        parts: (num_intervals,) into how many mesh intervals each of these is
-            split, or one number for all.
+        num_intervals: number of even intervals, at least `FEWEST`.
+        parts: (num_intervals,) number of mesh intervals into which each of
+            these is split, or one number for all.
     """
 
     times: np.ndarray
@@ -72,7 +72,7 @@ class Transcription(ABC):
         self._add_to(program)
         for array, size in zip(self._arrays(), _SIZES, strict=True):
             if size == 1.0:
-                continue  # as it is by itself
+                continue  # the default scaling
             for variable in array.ravel():
                 program.prog.SetVariableScaling(variable, size)
 
@@ -81,7 +81,7 @@ class Transcription(ABC):
 
     @property
     def num_intervals(self) -> int:
-        """Of the mesh."""
+        """Number of mesh intervals."""
         return len(self.mesh) - 1
 
     @property
@@ -92,15 +92,15 @@ class Transcription(ABC):
     @property
     @abstractmethod
     def jerk_weights(self) -> np.ndarray:
-        """Of each row of jerk in an integral over time [s]."""
+        """Weight of each row of jerk in an integral over time [s]."""
 
     def alternating(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Accelerations midway between nodes that no node tells of.
+        """Midpoint accelerations that values at the nodes do not determine.
 
         Returns:
             variables (m, n_dof, k), their weights (m, k) in m accelerations
             of each coordinate, and the time (m,) that each stands for [s];
-            none where the nodes determine what is between them.
+            m = 0 if the nodes determine the state between them.
         """
         return self.jerk[:0, :, None], np.ones((0, 1)), np.ones(0)
 
@@ -109,10 +109,10 @@ class Transcription(ABC):
         """Add variables and collocation constraints."""
 
     def between(self, fraction, q, v, a, jerk):
-        """State at one place in each mesh interval of a solution.
+        """State of a solution at one place in each mesh interval.
 
         Args:
-            fraction: of the interval, from 0 to 1.
+            fraction: place in the interval, from 0 to 1.
             q, v, a, jerk: values at the nodes.
 
         Returns:
@@ -134,20 +134,20 @@ class Transcription(ABC):
         """
 
     def _intervals(self, when):
-        """Of times (m,): number, start and length of the mesh interval."""
+        """Index, start and length of the mesh interval at times (m,)."""
         k = np.searchsorted(self.mesh, when, side="right") - 1
         k = np.clip(k, 0, self.num_intervals - 1)
         return k, self.mesh[k], self.steps[k]
 
     @abstractmethod
     def _scalar_basis(self) -> tuple[sp.csr_array, np.ndarray]:
-        """Basis of one coordinate: rows q, v, a, jerk of all nodes.
+        """Basis of one coordinate's solutions, and size of each unknown.
 
-        And the typical size of each unknown.
+        Rows are q, v, a, jerk of all nodes.
         """
 
     def substitution(self, program: BatchedProgram) -> Substitution:
-        """All trajectory variables through the basis of this grid."""
+        """Substitution of all trajectory variables by this grid's basis."""
         basis, sizes = self._scalar_basis()
         matrix = sp.kron(basis, sp.eye_array(self.num_dof), format="csr")
         arrays = [x.ravel() for x in self._arrays()]
@@ -187,16 +187,16 @@ class HermiteSimpson(Transcription):
         )
         time_steps = np.stack([collocation.time_step(i) for i in range(n - 1)])
         prog.AddBoundingBoxConstraint(steps, steps, time_steps.ravel())
-        # Its constraints point to contexts that it owns, and to the system.
+        # The constraints refer to contexts of `collocation`, and to the system.
         program.keep_alive((system, collocation))
         states = np.stack([collocation.state(i) for i in range(n)])
         self.q, self.v, self.a = np.split(states, 3, axis=1)
         self.jerk = np.stack([collocation.input(i) for i in range(n)])
         bindings = prog.generic_constraints()[before:]
-        # Every trial's constraints carry the same names otherwise.
+        # Otherwise constraints of all trials have the same names.
         for i, binding in enumerate(bindings):
             binding.evaluator().set_description(f"{self.name} collocation[{i}]")
-        # As Drake orders the inputs of each.
+        # In Drake's order of each constraint's inputs.
         at, x, u = map(program.indices, (time_steps, states, self.jerk))
         inputs = np.hstack([at, x[:-1], x[1:], u[:-1], u[1:]])
         for step, which in _by_length(steps):
@@ -220,14 +220,14 @@ class HermiteSimpson(Transcription):
     def alternating(self):
         """See Transcription.
 
-        A jerk that changes its sign from node to node leaves the
-        accelerations at the nodes as they are: j_{k+1} + j_k is given, their
-        difference is not, and what sets it off, such as a force with a
-        corner, is never damped. Midway it is this much.
+        A jerk that alternates from node to node does not change the
+        accelerations at the nodes, which fix j_k + j_{k+1} but not the
+        difference. Once excited, as by a force with a corner, it is not damped.
+        Returned is the acceleration midway that it makes.
         """
         j, before, after = self.jerk, self.steps[:-1], self.steps[1:]
         variables = np.stack([j[:-2], j[1:-1], j[2:]], axis=2)
-        # Off the line between its neighbours.
+        # Deviation of a jerk from the line between its neighbours.
         both = before + after
         off = np.column_stack(
             [after / both, -np.ones(len(both)), before / both]
@@ -330,7 +330,7 @@ class Pseudospectral(Transcription):
         )
 
     def _scalar_basis(self):
-        """Values q, v, a at the mesh points determine each interval."""
+        """See Transcription; unknowns are q, v, a at the mesh points."""
         intervals = self.num_intervals
         n = 3 * intervals + 1
         # Columns: q0..q3, v0..v3, a0..a3, j1..j3, in units of h = 1.
@@ -374,17 +374,17 @@ TRANSCRIPTIONS = {
 
 
 def stands_for(steps: np.ndarray) -> np.ndarray:
-    """Time (m + 1,) that each node stands for, by m steps between them [s].
+    """Time (m + 1,) that each node stands for, from m steps between nodes [s].
 
-    Nodes at the ends count as others do.
+    Nodes at the ends count in full, like others.
     """
     beside = 0.5 * (steps[:-1] + steps[1:])
     return np.r_[steps[0], beside, steps[-1]]
 
 
 def _by_length(steps: np.ndarray) -> list[tuple[float, np.ndarray]]:
-    """Each length of some intervals (m,), and which have it."""
-    # Those of one length differ by rounding.
+    """(length, indices of the intervals of that length) of steps (m,)."""
+    # Equal lengths differ by rounding.
     _, first, of = np.unique(
         np.round(steps, 12), return_index=True, return_inverse=True
     )
@@ -422,7 +422,7 @@ def _interval_equations(D, h):
 
 
 def _integrator(n_dof):
-    """States q, v, a; input jerk."""
+    """Triple integrator: states q, v, a; input jerk."""
     zero, eye = np.zeros((n_dof, n_dof)), np.eye(n_dof)
     A = np.block([[zero, eye, zero], [zero, zero, eye], [zero, zero, zero]])
     B = np.vstack([zero, zero, eye])
@@ -430,7 +430,7 @@ def _integrator(n_dof):
 
 
 def _constant_jacobian(binding, step):
-    """The collocation constraint is linear once its time step is fixed."""
+    """Jacobian of a collocation constraint, constant for a given time step."""
     x = np.zeros(len(binding.variables()))
     x[0] = step
     return ExtractGradient(binding.evaluator().Eval(InitializeAutoDiff(x)))

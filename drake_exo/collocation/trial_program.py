@@ -1,8 +1,8 @@
 """A trial of a planar model on the ground, as part of a program.
 
-Trajectories on a collocation grid, joint torques, ground reaction and cuff
-forces as controls, and the equations that tie them. Several trials share one
-program and one set of contact parameters.
+`TrialProgram` adds trajectories on a collocation grid, joint torques, ground
+reaction and cuff forces as controls, and the equations that tie them. Several
+trials share one program and one set of contact parameters.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,8 +31,8 @@ from drake_exo.contact.parameters import ContactParameter
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.nlp.program import BatchedProgram
 
-# Accelerations of the root [m/s^2, rad/s^2] that may alternate between nodes:
-# a newton or so of a body's weight, as much as an audit allows.
+# Typical size of alternating accelerations of the root [m/s^2, rad/s^2] in the
+# cost: about a newton by a body's mass, as much as an audit allows.
 ALTERNATING = 0.0125
 
 Role = Literal["position", "velocity", "measured", "regulariser"]
@@ -42,41 +42,39 @@ class TrialProgram:
     """Variables and constraints of one trial.
 
     Attributes:
-        name: of the trial.
-        coordinates: of the model.
+        name: name of the trial.
+        coordinates: the model's coordinates.
         grid: transcription with q, v, a and jerk.
         torque: (n, n_joints) joint torques [N m].
-        grounds: body that touches -> (n, 3) ground reaction F_x, F_z [N] and
-            M_y about the laboratory origin [N m].
-        poses: such a body -> (n, 6) x, z, pitch and their rates: those of the
-            root, or further variables that kinematics ties, so that the law
-            under every body is one and the same function.
-        ties: body -> kernel of that, but for the root.
+        ground: (n, 3 k) ground reactions on all k bodies side by side.
+        grounds: body that touches the ground -> (n, 3) of these: F_x, F_z [N]
+            and M_y about the laboratory origin [N m].
+        poses: such a body -> (n, 6) x, z, pitch and their rates: the root's
+            coordinates, or further variables tied by kinematics, so that the
+            law under every body is the same function.
+        ties: body except the root -> kernel of these kinematics.
         cuffs: cuff -> (n, 3) force of its bushing on the human: tangential,
             normal [N], moment [N m].
         dynamics: kernel of the equations of motion; its inputs are q, v, a,
-            torque, ground and, with bushings, their forces and origins.
-        tracked: terms of the cost.
+            torque, ground and, with bushings, their forces and places.
+        tracked: tracking terms of the cost.
         damped: variables (m, k), their weights (m, k) in m accelerations, in
             units of ALTERNATING, and the time (m,) each stands for [s]; see
             `damp`.
 
     Args:
-        program: to add to.
-        name: of the trial.
+        program: program to add to.
+        name: name of the trial.
         tree: dynamics of the model.
-        duration: of the movement [s].
-        nodes_per_second: mesh intervals per second; a short movement has
-            `FEWEST` of them.
+        duration: duration of the movement [s].
+        nodes_per_second: mesh intervals per second; at least `FEWEST` in all.
         transcription: name in TRANSCRIPTIONS.
-        bushings: cuff -> what couples human and device there, and its
-            places as decision variables.
-        chair: wrenches of the chair, if the movement starts seated, and of
-            what is carried.
-        bodies: that touch the ground; the root by default.
+        bushings: cuff -> kinematics of its bushing, and its places as
+            decision variables.
+        chair: wrenches of chair and carried loads, if any.
+        bodies: bodies that touch the ground; the root by default.
         equations: makes the kernel of the equations of motion.
-        parts: into how many each of these intervals is split, see
-            `Transcription`.
+        parts: number of parts of each interval, see `Transcription`.
     """
 
     def __init__(
@@ -137,7 +135,7 @@ class TrialProgram:
         )
 
     def _add_pose(self, tree: PlanarTree, body: str) -> None:
-        """Pose and motion of a body that touches the ground."""
+        """Add pose and rates of a body that touches the ground."""
         grid = self.grid
         if body == tree.root:
             root = self.coordinates.root_columns
@@ -152,7 +150,7 @@ class TrialProgram:
         )
 
     def new(self, what: str, units, rows: int | None = None) -> np.ndarray:
-        """New variables (rows, len(units)) of typical sizes, one a node."""
+        """New variables (rows, len(units)), sizes `units`; a row per node."""
         prog, n = self.program.prog, rows or len(self.grid.times)
         variables = prog.NewContinuousVariables(
             n * len(units), f"{self.name} {what}"
@@ -163,7 +161,7 @@ class TrialProgram:
         return variables
 
     def at_nodes(self, variables: np.ndarray) -> np.ndarray:
-        """The same variables (m,) at every node, (n, m)."""
+        """Variables (m,) repeated for every node, (n, m)."""
         return np.broadcast_to(
             variables, (len(self.grid.times), len(variables))
         )
@@ -179,7 +177,7 @@ class TrialProgram:
         return self._chair.generalized(q, self._chair.at(self.grid.times))
 
     def _label(self) -> None:
-        """Name what may be bounded, for reports of infeasible problems."""
+        """Label variables that may be bounded, for reports of `relax`."""
         names = self.coordinates
         at = [f"at {t:.3g} s" for t in self.grid.times]
         degrees = np.rad2deg(1.0)
@@ -203,9 +201,9 @@ class TrialProgram:
         """Tie the ground reaction of a body to the contact law.
 
         Args:
-            body: that touches.
+            body: the body that touches the ground.
             kernel: the law.
-            parameters: its decision variables, in the kernel's order.
+            parameters: decision variables of the spheres, in kernel's order.
         """
         variables = np.hstack(
             [self.poses[body], self.grounds[body], self.at_nodes(parameters)]
@@ -219,9 +217,9 @@ class TrialProgram:
         """Tie the force of one cuff to its law.
 
         Args:
-            cuff: its name.
+            cuff: name of the cuff.
             kernel: the law.
-            parameters: its decision variables, places and stiffness.
+            parameters: its decision variables: places, stiffness, slip.
         """
         grid = self.grid
         variables = [grid.q, grid.v, self.cuffs[cuff]]
@@ -261,7 +259,7 @@ class TrialProgram:
         Args:
             terms: signals z with their rows A and effects E.
             errors: (k,) variables e that all terms with effects share.
-            weights: (n,) of the nodes [s]; those of the integral by default.
+            weights: (n,) weights of the nodes [s]; the quadrature by default.
         """
         weights = self.grid.quadrature if weights is None else weights
         self.tracked.extend(terms)
@@ -286,7 +284,7 @@ class TrialProgram:
             b[:, columns] -= np.einsum("nrm,nr->nm", A, y)
             c += 0.5 * np.sum(y * y, axis=1)
             first = last
-        # Nodes that count nothing have no cost.
+        # Nodes without weight get no cost.
         used = weights > 0.0
         weight = weights[used]
         self.program.add_quadratic_costs(
@@ -298,7 +296,7 @@ class TrialProgram:
         )
 
     def add_jerk_cost(self, sigma) -> None:
-        """Add 1/2 integral of |jerk/sigma|^2 dt, one sigma for each dof."""
+        """Add 1/2 integral of |jerk/sigma|^2 dt; sigma: one, or (n_dof,)."""
         jerk = self.grid.jerk
         self.jerk_sigma = np.broadcast_to(sigma, jerk.shape[1:])
         weights = self.grid.jerk_weights
@@ -312,20 +310,20 @@ class TrialProgram:
 
     @property
     def may_alternate(self) -> bool:
-        """Whether accelerations of the root may swing from node to node.
+        """Whether accelerations of the root may alternate between nodes.
 
-        Of a root in the air: no torque takes what the equations of motion then
-        miss between the nodes. A root on the ground is held by its contact.
+        True for a root in the air: no torque balances the residual that this
+        causes between nodes. A root on the ground is held by its contact.
         """
         return self.tree.root not in self.grounds
 
     @property
     def is_tracked(self) -> bool:
-        """Whether anything measured is: else what damps shapes the movement."""
+        """Whether data are tracked; else damping would shape the motion."""
         return any(term.role != "regulariser" for term in self.tracked)
 
     def damp(self) -> None:
-        """Add 1/2 integral of what alternates between nodes as cost."""
+        """Add alternating accelerations of the root, squared, as cost."""
         if not self.may_alternate:
             return
         variables, factors, times = self.grid.alternating()
@@ -345,18 +343,18 @@ class TrialProgram:
 
 @dataclass(eq=False, repr=False)
 class Tracking:
-    """One tracked signal: rows A (n, r, m) of variables, targets, sigmas.
+    """One tracked signal: (rows @ variables - target)/sigma in the cost.
 
     Attributes:
         variables: (n, m) decision variables.
         target: (n, r) measured values.
         sigma: noise, broadcast to (n, r); infinite where not tracked.
-        rows: (n, r, m) linear map; identity by default.
-        role: what the target is: "position" or "velocity" (noise of the
-            second is the derivative of the first's), another "measured"
-            signal, or a "regulariser", which is none.
-        effects: (n, r, k) of unknown errors on the target; none by default.
-        weights: (n,) of the nodes in the cost [s], once it is part of one.
+        rows: (n, r, m) linear map A; identity by default.
+        role: kind of target: "position" or "velocity" (whose noise is the
+            derivative of the position's), another "measured" signal, or
+            "regulariser" for a target that is no measurement.
+        effects: (n, r, k) effects E of unknown errors; none by default.
+        weights: (n,) of the nodes [s], set when it is added to a cost.
     """
 
     variables: np.ndarray
@@ -388,9 +386,9 @@ def add_parameters(
 ) -> np.ndarray:
     """Add contact parameters as decision variables.
 
-    Free ones are bounded, others fixed at their nominal values. The prior is
-    1/2 ((p - nominal)/prior_sd)^2 for each free one that has it, of logarithms
-    where it is said so.
+    Free ones are bounded, others fixed at their nominal values. A free one that
+    has a prior_sd gets the prior 1/2 ((p - nominal)/prior_sd)^2 as cost; with
+    `log_prior`, of logarithms.
 
     Returns:
         (len(parameters),) variables.
@@ -412,7 +410,7 @@ def add_parameters(
                 np.array([[variable]]),
             )
             continue
-        weight = 0.5 / p.prior_sd**2  # Drake's cost has no half
+        weight = 0.5 / p.prior_sd**2  # the cost below has no factor 1/2
         prog.AddQuadraticErrorCost(
             np.array([[weight]]), [p.nominal], [variable]
         )
@@ -420,7 +418,7 @@ def add_parameters(
 
 
 class LogKernel:
-    """ln(x / middle) / sd of a positive x."""
+    """Residual ln(x / middle) / sd of a log-normal prior; x positive."""
 
     sparsity = np.ones((1, 1), bool)
 

@@ -1,4 +1,4 @@
-"""From a MathematicalProgram to IPOPT: neutral ground for both halves."""
+"""Bridge from a MathematicalProgram to IPOPT, for exoskeletons and soles."""
 
 import ctypes
 import signal
@@ -12,11 +12,11 @@ from types import ModuleType
 
 @cache
 def load_ipyopt() -> ModuleType:
-    """IPOPT's module; its MUMPS calls OpenBLAS.
+    """The module ipyopt, with OpenBLAS loaded first for its MUMPS.
 
-    It calls the BLAS that the process met first. The reference one in ipyopt's
-    wheel takes a third longer for a factorisation than OpenBLAS; that of the
-    wheel of SCS (for Linux) has the usual names and one thread.
+    MUMPS calls the BLAS that the process loaded first. The reference BLAS in
+    ipyopt's wheel takes a third longer for a factorisation than OpenBLAS; the
+    one in the SCS wheel (Linux) has the usual names and one thread.
     """
     for stem in ("libgfortran", "libopenblas"):  # the one needs the other
         for file in files("scs") or ():
@@ -29,7 +29,7 @@ def load_ipyopt() -> ModuleType:
 def stop_on_interrupt(stop: threading.Event):
     """Turn the first Ctrl-C into a request to stop; the second raises.
 
-    Python's own would surface within IPOPT's C++.
+    Python's own KeyboardInterrupt would be raised within IPOPT's C++.
     """
 
     def handle(number, frame):
@@ -39,7 +39,7 @@ def stop_on_interrupt(stop: threading.Event):
 
     previous = None
     is_main = threading.current_thread() is threading.main_thread()
-    # A job begun by `&` ignores it.
+    # A job started with `&` ignores SIGINT: then leave it so.
     if is_main and callable(signal.getsignal(signal.SIGINT)):
         previous = signal.signal(signal.SIGINT, handle)
     try:

@@ -1,11 +1,11 @@
-"""What keeps a program from being solved, in its user's words.
+"""Diagnosis of a program that cannot be solved, by the names of its bounds.
 
-Before a solve, `check` tells the faults that waste one. After one that found
-no feasible point, `relax` tells which bounds make the program infeasible, and
-by how much: the bounds of trajectories (torque limits, given end states)
-become springs, and what they would have to give way by names them. Everything
-else, such as dynamics and contact, keeps holding. Soft springs give way to
-costs as well: only the stiffest tell that there is no solution.
+Before a solve, `check` refuses input that would waste it. After a solve that
+found no feasible point, `relax` finds which bounds make the program infeasible,
+and by how much: bounds of trajectories (torque limits, given end states) become
+springs, and those that stay stretched are reported. Everything else, such as
+dynamics and contact, keeps holding. Soft springs yield to costs as well, so
+only the stiffest prove that there is no solution.
 """
 
 from collections.abc import Callable
@@ -17,21 +17,21 @@ import scipy.sparse as sp
 from drake_exo.errors import InputError
 from drake_exo.nlp.sparse import SparseProgram
 
-# Below this a parameter moves no residual, in the units of the residuals.
+# A parameter has no influence if all derivatives by it are below this.
 _INFLUENCE = 1e-9
-# Stiffness of the springs against costs of order one, softest first: each
-# solve starts from the last. A bound that is merely active gives way by its
-# multiplier over the stiffness. Limits are tried before given states.
+# Kinds of bounds -> stiffness of their springs against costs of order one,
+# softest first: each solve starts from the last. A bound that is merely active
+# yields by its multiplier over the stiffness. Limits come before given states.
 _STAGES = {("limit",): (1.0, 30.0, 1e3, 1e5), ("state",): (30.0, 1e3, 1e5)}
-# Excess that counts, in the variables' typical sizes.
+# Least excess that is reported, in the variables' typical sizes.
 SIGNIFICANT = 5e-3
-_TOLD = 8  # bounds that gave way
+_TOLD = 8  # bounds that are reported at most
 
 
 def check(
     problem: SparseProgram, guess: np.ndarray, parameters: dict[str, int]
 ) -> None:
-    """Check guess, bounds and the influence of parameters.
+    """Refuse a faulty guess, bounds, or parameters without influence.
 
     Args:
         problem: the compiled program.
@@ -40,8 +40,8 @@ def check(
 
     Raises:
         InputError: the guess has another length or holds NaN, bounds exclude
-            each other, a function is not finite at the guess, or a parameter
-            moves neither a constraint nor a residual.
+            each other, a constraint is not finite at the guess, or a parameter
+            influences neither a constraint nor a residual.
     """
     size = problem.program.prog.num_vars()
     if np.shape(guess) != (size,):
@@ -84,7 +84,7 @@ def check(
 
 
 def _influence(problem, y):
-    """Largest derivative of any constraint or residual by each unknown."""
+    """Largest derivative (ny,) of any constraint, residual by each unknown."""
     _, columns = problem.jacobian_structure
     influence = np.zeros(problem.num_unknowns)
     np.maximum.at(influence, columns, np.abs(problem.jacobian(y)))
@@ -100,10 +100,10 @@ class Excess:
     """A bound that had to give way.
 
     Attributes:
-        name: of the variable.
-        needed: value it takes when its bound gives way.
-        bound: that it exceeds.
-        unit: of both.
+        name: label of the variable.
+        needed: value that it takes beyond its bound.
+        bound: the bound that it exceeds.
+        unit: unit of both.
     """
 
     name: str
@@ -123,17 +123,17 @@ def relax(
     y: np.ndarray,
     attempt: Callable[["ElasticProgram", np.ndarray], np.ndarray | None],
 ) -> tuple[np.ndarray, list[Excess], bool]:
-    """Look for the bounds that are in each other's way.
+    """Find the bounds that exclude each other.
 
     Args:
-        problem: that could not be solved.
-        y: where to start.
+        problem: the problem that could not be solved.
+        y: start (ny,).
         attempt: solves an elastic program from a start; None if it fails.
 
     Returns:
-        A start, a better one if something is certain; the bounds that gave
-        way to the stiffest springs that could be solved; and whether those
-        were the stiffest of all, so that the problem is infeasible.
+        Start for the next attempt, a better one than y if springs settled the
+        question; bounds that yielded to the stiffest springs that could be
+        solved; and whether these were the stiffest of all: infeasible.
     """
     hint = []
     for kinds, stiffnesses in _STAGES.items():
@@ -154,17 +154,17 @@ def relax(
 
 
 class ElasticProgram:
-    """A SparseProgram whose trajectory bounds give way; the same interface.
+    """A SparseProgram with springs in place of some bounds; same interface.
 
     Args:
-        problem: to relax. Only labelled variables are
-            (`BatchedProgram.label`); fixed ones are if the collocation
-            constraints were substituted.
-        kinds: of labels whose bounds give way.
+        problem: the problem to relax. Only bounds of labelled variables
+            (`BatchedProgram.label`) yield; those of fixed variables do only
+            if the collocation constraints were substituted.
+        kinds: kinds of labels whose bounds yield.
         weight: stiffness of the springs.
 
     Attributes:
-        num_springs: bounds that can give way.
+        num_springs: number of variables and rows whose bounds yield.
     """
 
     def __init__(self, problem: SparseProgram, kinds, weight: float):
@@ -189,7 +189,7 @@ class ElasticProgram:
         self.y_upper = _with(problem.y_upper, columns, np.inf)
         self.g_lower = _with(problem.g_lower, rows, -np.inf)
         self.g_upper = _with(problem.g_upper, rows, np.inf)
-        # Own entries come after the problem's; IPOPT adds duplicates.
+        # The springs' entries follow the problem's; IPOPT adds duplicates.
         own = [self._entries(k) for k in range(self.num_springs)]
         spring, *place, self._curvature = np.hstack([np.zeros((4, 0)), *own])
         self._spring = spring.astype(int)
@@ -201,7 +201,7 @@ class ElasticProgram:
         )
 
     def _entries(self, spring: int) -> np.ndarray:
-        """Its number, row, column and curvature, of each in the Hessian."""
+        """A spring's Hessian entries (4, k): number, row, column, value."""
         ends = self._ends
         part = slice(ends.indptr[spring], ends.indptr[spring + 1])
         index, data = ends.indices[part], ends.data[part]
@@ -210,16 +210,16 @@ class ElasticProgram:
         return np.stack([number, index[i], index[j], data[i] * data[j]])
 
     def __getattr__(self, name):
-        """What springs do not change is the problem's."""
+        """Take everything that springs do not change from the problem."""
         return getattr(self._problem, name)
 
     def excess(self, y: np.ndarray) -> np.ndarray:
-        """How far relaxed variables, then rows, are beyond their bounds."""
+        """Excess (num_springs,) of variables, then rows, over their bounds."""
         z = self._ends @ y
         return z - np.clip(z, self._lower, self._upper)
 
     def objective(self, y):
-        """The problem's, plus the springs' energy."""
+        """The problem's objective plus the springs' energy."""
         e = self.excess(y)
         return self._problem.objective(y) + 0.5 * self._weight * float(e @ e)
 
@@ -229,13 +229,13 @@ class ElasticProgram:
         return self._problem.gradient(y) + self._ends.T @ e
 
     def hessian(self, y, multipliers, factor):
-        """As SparseProgram, in the order of hessian_structure."""
+        """See SparseProgram; in the order of hessian_structure."""
         stretched = self.excess(y)[self._spring] != 0.0
         own = factor * self._weight * self._curvature * stretched
         return np.r_[self._problem.hessian(y, multipliers, factor), own]
 
     def binding(self, y: np.ndarray) -> list[Excess]:
-        """The bounds that gave way most, one for each signal."""
+        """The bounds that are exceeded most, one for each signal."""
         excess = self.excess(y)
         x = self._problem.expand(y)
         found: dict[str, Excess] = {}

@@ -1,6 +1,7 @@
 """Solving a SparseProgram with IPOPT, with progress and a way to cancel.
 
-A `Solution` says whether the solve succeeded, and is sealed if it did not.
+If one strategy fails, `solve` tries the next. Reading a `Solution` of a failed
+solve raises until it is unsealed.
 """
 
 import threading
@@ -26,7 +27,7 @@ from drake_exo.nlp.sparse import SparseProgram, violation
 
 ipyopt = load_ipyopt()
 
-# The status of what the user ended.
+# Status of a solve that the user stopped.
 STOPPED_BY_USER = "stopped by the user"
 # IPOPT's ApplicationReturnStatus.
 _STATUS = {
@@ -52,8 +53,8 @@ _STATUS = {
 _STOPPED = 5
 _ACCEPTED = (0, 1)
 _INFEASIBLE = "infeasible: no solution keeps all bounds"
-# An attempt is given up after so many iterations in IPOPT's feasibility
-# restoration, or without a tenth less infeasibility and optimality error.
+# An attempt is given up after so many iterations in IPOPT's restoration, or
+# without lowering the larger of infeasibility and optimality error by a tenth.
 _RESTORING = 12
 _STALLED = 40
 _ELASTIC_ITERATIONS = 80
@@ -68,15 +69,14 @@ class SolverOptions:
 
     Attributes:
         tolerance: IPOPT's scaled optimality error.
-        max_iterations: for each attempt.
-        strategies: the next is tried by itself when one fails: barrier
-            strategies with the program's Hessian (adaptive is faster,
-            monotone survives strong noise), then "exact", with the
-            constraints' curvature, which tight bounds may need, and at last,
-            if no bounds are known that may be in the way, "patient": adaptive
-            to the end, however long nothing improves.
-            `near_solution` puts "near" before them, for starts that nearly are
-            solutions: the barrier begins low, and bounds do not push away.
+        max_iterations: largest number of iterations of each attempt.
+        strategies: tried one after the other until one succeeds. "adaptive" and
+            "monotone" are updates of the barrier with the program's Hessian
+            (adaptive is faster, monotone survives strong noise). "exact" adds
+            the constraints' curvature, which tight bounds may need. "patient",
+            skipped if bounds are known that may be in the way, is adaptive and
+            never given up. `near_solution` puts "near" before them, for starts
+            near a solution: the barrier begins low, and bounds do not repel.
         pivot_order: MUMPS' ordering; 6 (QAMD) measured fastest on collocation
             problems with contact: it sets aside the rows of unknowns that all
             nodes share, over which 0 (AMD) takes up to a tenth of a solve.
@@ -90,17 +90,17 @@ class SolverOptions:
     extra: dict = field(default_factory=dict)
 
     def near_solution(self) -> "SolverOptions":
-        """The same for a start that nearly is a solution."""
+        """A copy for a start near a solution, see `strategies`."""
         return replace(self, strategies=("near", *self.strategies))
 
 
 @dataclass(frozen=True)
 class Iterate:
-    """What progress and checkpoints see of one iteration.
+    """One iteration as progress and checkpoints see it.
 
     Attributes:
-        x: program variables, or None before the first evaluation; while IPOPT
-            restores feasibility, those that it began from.
+        x: program variables, or None before the first evaluation; during
+            IPOPT's feasibility restoration, those at which it began.
     """
 
     strategy: str
@@ -131,18 +131,18 @@ class Solution:
     Attributes:
         success: whether the solver met its tolerances.
         status: in words.
-        iterations: of the solver, all attempts together.
-        objective: at the returned point.
+        iterations: number of iterations, all attempts together.
+        objective: cost at the returned point.
         infeasibility: largest scaled constraint violation there.
         worst_constraints: (name, violation), largest first.
-        binding: bounds that exclude each other, of an infeasible problem;
-            that may do so, of another that could not be solved.
-        active_bounds: names of named parameters that sit at a bound.
-        num_variables, num_constraints, jacobian_nonzeros: of the problem
+        binding: bounds that exclude each other if the problem is infeasible;
+            bounds that may do so if it could not be solved otherwise.
+        active_bounds: names of free parameters that sit at a bound.
+        num_variables, num_constraints, jacobian_nonzeros: sizes of the problem
             that the solver saw.
-        seconds: time by part ("build", "solve", "linear_algebra", ...).
-        evaluations: calls by part.
-        strategy: barrier strategy of the last attempt.
+        seconds: time by part ("build", "solve", "linear_algebra_and_ipopt"...).
+        evaluations: number of calls by part.
+        strategy: strategy of the last attempt.
         is_sealed: whether reading values raises.
     """
 
@@ -168,7 +168,7 @@ class Solution:
 
     @property
     def was_stopped(self) -> bool:
-        """Whether the user ended it."""
+        """Whether the user stopped the solve."""
         return self.status == STOPPED_BY_USER
 
     def unseal(self) -> "Solution":
@@ -177,7 +177,7 @@ class Solution:
         return self
 
     def check(self) -> None:
-        """Refuse what would be read of a failed solve.
+        """Refuse to read a failed solve.
 
         Raises:
             SealedSolutionError: if the solve failed and nobody unsealed it.
@@ -190,16 +190,16 @@ class Solution:
             )
 
     def values(self, indices: np.ndarray) -> np.ndarray:
-        """Values of program variables by index, same shape; see `check`."""
+        """Values of program variables, shape as indices; see `check`."""
         self.check()
         return self._values[indices]
 
     def raw_values(self) -> np.ndarray:
-        """All program variables, sealed or not: for reports of failures."""
+        """All program variables even if sealed, for reports of failures."""
         return self._values
 
     def explain(self) -> str:
-        """The worst constraints by name, and what to try next."""
+        """Why the solve failed, as text: bounds, or the worst constraints."""
         if self.success:
             return "all constraints hold"
         if self.binding:
@@ -234,24 +234,24 @@ def solve(
 ) -> Solution:
     """Solve from a guess of all program variables.
 
-    Ctrl-C stops after the running iteration; the best iterate is returned in
-    a sealed solution, as of a failed solve.
+    Ctrl-C stops after the running iteration. A stopped or failed solve returns
+    its best iterate in a sealed solution.
 
     Args:
         problem: the compiled program.
         guess: (num_vars,) program variables.
-        options: tolerances and strategies; IPOPT's that its
-            MathematicalProgram holds (`SetSolverOption`) go before them.
+        options: tolerances and strategies; IPOPT options set in the
+            MathematicalProgram (`SetSolverOption`) take precedence.
         on_iterate: called once for each iteration.
 
     Raises:
-        InputError: IPOPT knows no such option, or not with such a value.
+        InputError: IPOPT has no such option, or refuses its value.
     """
     options = options or SolverOptions()
     own = _program_options(problem.program.prog)
     options = replace(options, extra={**options.extra, **own})
     start = time.perf_counter()
-    # Of this solve alone: a program may be solved from several guesses.
+    # Count this solve alone: a program may be solved from several guesses.
     problem.seconds.clear()
     problem.evaluations.clear()
     y0 = problem.restrict(guess)
@@ -280,7 +280,7 @@ def solve(
     with stop_on_interrupt(stop):
         for strategy in options.strategies:
             if strategy == "patient" and binding:
-                continue  # long, where something is known already
+                continue  # it takes long, and bounds explain the failure
             watch = _Watch(problem, strategy, start, tell, stop)
             watches.append(watch)
             problem.use_exact_hessian(exact or strategy == "exact")
@@ -291,8 +291,8 @@ def solve(
             if status in _ACCEPTED or infeasible or stop.is_set():
                 break
             if binding is None and not watch.found_feasible:
-                # Either bounds are in each other's way, or the point where
-                # none has to give way is a better start.
+                # Either bounds exclude each other, or a point at which none
+                # has to yield is a better start.
                 y0, binding, infeasible = relax(problem, y0, relaxed)
     best = min(watches, key=lambda w: w.best_key).best
     if status not in _ACCEPTED and best is not None:
@@ -318,8 +318,8 @@ class _Watch:
     """Follows one attempt: best iterate, progress, interruption.
 
     Attributes:
-        gave_up: whether it stopped the attempt, as it led nowhere.
-        raised: first error in what IPOPT calls; ends the attempt.
+        gave_up: whether it stopped the attempt for lack of progress.
+        raised: first error raised in a callback, which ends the attempt.
     """
 
     def __init__(self, problem, strategy, start, on_iterate, stop):
@@ -341,8 +341,8 @@ class _Watch:
 
     def __call__(self, mode, iteration, objective, inf_pr, inf_du, *_):
         self.iterations = iteration
-        # Where IPOPT restores feasibility (mode 1), what it tells is of points
-        # that are not seen here; and its violation counts slacks as well.
+        # In restoration (mode 1) IPOPT reports points that are not seen here.
+        # Its violation counts slacks as well, so it is computed anew.
         if mode == 0 and self.current is not None and np.isfinite(objective):
             off = violation(self.problem, self.current)
             # Feasible iterates compare by cost, others by violation.
@@ -380,12 +380,12 @@ class _Watch:
         return self.best_key[0] == 0.0
 
 
-# A barrier of the usual height would first lead away from a solution. Where a
-# grid is fine, entries differ by 1e11; with the usual pivot tolerance of 1e-6
-# MUMPS counts negative eigenvalues wrongly there, and IPOPT mends a curvature
-# that is none: objectives rose a hundredfold and came back in fifty iterations.
-# Multipliers by least squares, which the first step finds as well, cost it a
-# factor that fills up: a minute of a rise on a sole's law, or more than five.
+# A barrier of the usual height would first lead away from the solution. On fine
+# grids entries differ by 1e11; with the usual pivot tolerance of 1e-6 MUMPS
+# miscounts negative eigenvalues, and IPOPT corrects a curvature that was right:
+# objectives rose a hundredfold and needed fifty iterations to come back.
+# Initial multipliers by least squares, which the first step finds anyway, need
+# a factorisation that fills up: 66 of 71 s of a rise on a sole's law, or more.
 _NEAR = {
     "mumps_pivtol": 1e-3,
     "constr_mult_init_max": 0.0,
@@ -399,15 +399,15 @@ _NEAR = {
 
 
 def _program_options(prog: MathematicalProgram) -> dict:
-    """IPOPT's options that a program holds, by name."""
+    """IPOPT options set in a MathematicalProgram, by name."""
     return prog.solver_options().options.get(IpoptSolver.id().name(), {})
 
 
 def _ipopt_options(options, strategy) -> dict:
     return {
         "tol": options.tolerance,
-        # On fine grids rounding ends the descent just above the tolerance, of
-        # steps on the finest of them at 20 times as much.
+        # On fine grids rounding ends the descent just above the tolerance; for
+        # walking steps on the finest grids at 20 times the tolerance.
         "acceptable_tol": (
             options.tolerance * (100.0 if strategy == "near" else 10.0)
         ),
@@ -423,11 +423,11 @@ def _ipopt_options(options, strategy) -> dict:
         "sb": "yes",
         "linear_solver": "mumps",
         "mumps_pivot_order": options.pivot_order,
-        # Its matching takes longer the more rows share a parameter, up to half
-        # of a solve, and has never saved an iteration.
+        # MUMPS' matching takes the longer the more rows share a parameter, up
+        # to half of a solve, and has never saved an iteration.
         "mumps_permuting_scaling": 0,
-        # Room for pivots put off, of what the analysis foresees, doubled where
-        # it does not do; IPOPT's 1000 is got from the system at each factor.
+        # Extra memory for delayed pivots in % of the estimate, doubled if it
+        # does not suffice; IPOPT's 1000 % is allocated at each factorisation.
         "mumps_mem_percent": 20,
         "fixed_variable_treatment": "make_parameter",
         **(_NEAR if strategy == "near" else {}),
@@ -441,7 +441,7 @@ def _attempt(problem, y0, options, watch):
         return problem.gradient(y)
 
     def filled(function):
-        """IPOPT hands over where an array's values go."""
+        """Copy values into the array that IPOPT hands over."""
 
         def call(*args):
             *given, out = args
@@ -450,7 +450,7 @@ def _attempt(problem, y0, options, watch):
         return guarded(call)
 
     def guarded(function, instead=np.nan):
-        """Errors must not surface in IPOPT's C++; they are raised again."""
+        """Keep errors out of IPOPT's C++; they are raised afterwards."""
 
         def call(*args):
             try:
@@ -486,7 +486,7 @@ def _attempt(problem, y0, options, watch):
                 f"IPOPT takes no option {name!r} of {value!r}; see its list of "
                 "options, and write a real number with a decimal point"
             ) from error
-    # A trial step may go far off; IPOPT shortens it when it sees infinity.
+    # A trial step may overflow; IPOPT shortens it if a value is infinite.
     with np.errstate(all="ignore"):
         y, objective, status = nlp.solve(y0.copy())
     if watch.raised:
@@ -495,22 +495,22 @@ def _attempt(problem, y0, options, watch):
 
 
 def _listed(structure):
-    """Rows and columns as ipyopt reads them ten times faster than arrays."""
-    # Numbers that come often are one object each.
+    """Rows and columns as lists, which ipyopt reads ten times faster."""
+    # Equal numbers share one object, to save memory.
     numbers = np.arange(1 + max(part.max(initial=0) for part in structure))
     numbers = numbers.astype(object)
     return tuple(numbers[part].tolist() for part in structure)
 
 
 def _finite(bounds):
-    """IPOPT's infinity."""
+    """Bounds with infinity as IPOPT writes it."""
     return np.clip(bounds, -2e19, 2e19)
 
 
 def _solution(problem, y, objective, status, watch, iterations, elapsed):
     off = violation(problem, y)
     values = problem.expand(y)
-    values.flags.writeable = False  # all that is told later is made of them
+    values.flags.writeable = False  # all later results are read from them
     seconds = {"solve": elapsed, **problem.seconds}
     seconds["linear_algebra_and_ipopt"] = elapsed - sum(
         problem.seconds.values()
@@ -539,10 +539,10 @@ def solve_with_drake(
 ) -> Solution:
     """Solve with Drake's own IpoptSolver from a guess of x, for comparison.
 
-    It evaluates binding by binding and knows no Hessian, so it suits small
-    cases only; that it reaches the same optimum checks the batched
-    derivatives. It ignores the program's variable scaling, without which it
-    does not converge here, so it is given a copy in scaled variables.
+    It evaluates binding by binding and without a Hessian, so it suits small
+    cases only; reaching the same optimum verifies the batched derivatives. It
+    ignores the program's variable scaling, without which it does not converge
+    here, so it is given a copy in scaled variables.
     """
     options = options or SolverOptions()
     settings = DrakeSolverOptions()
@@ -576,7 +576,7 @@ def solve_with_drake(
 
 
 def _scaled_copy(prog: MathematicalProgram, scale) -> MathematicalProgram:
-    """The same program in z = x / scale."""
+    """A copy of the program in the variables z = x / scale."""
     scaled = MathematicalProgram()
     z = scaled.NewContinuousVariables(prog.num_vars(), "z")
     lower, upper = variable_bounds(prog)

@@ -1,16 +1,16 @@
-"""A MathematicalProgram whose like constraints are evaluated together.
+"""A MathematicalProgram that evaluates constraints of one kind together.
 
-Drake evaluates a program binding by binding. A collocation problem repeats
-the same few functions over thousands of nodes; a `Batch` remembers that, so
-that one array operation serves all of them, while the program itself stays
-an ordinary MathematicalProgram that any of Drake's solvers can take. What is
-in no batch (bounds, scaling, linear rows, quadratic costs) is read from the
-program as arrays.
+Drake evaluates a program binding by binding. A collocation problem repeats the
+same few functions at thousands of nodes: a `Batch` lists the instances of one
+function (`Kernel`), so that one array operation evaluates all of them. The
+program itself stays an ordinary MathematicalProgram that any of Drake's solvers
+can take. What is in no batch (bounds, scaling, linear rows, quadratic costs) is
+read from the program as arrays.
 
-The program's variables are an affine function of the solver's unknowns, x =
-offset + B y (`Unknowns`). The plain choice only drops fixed variables and
-applies the program's variable scaling; a transcription may hand over a sparse B
-whose columns satisfy its linear constraints exactly.
+The program's variables are an affine function of the solver's unknowns,
+x = offset + B y (`Unknowns`). By default this only drops fixed variables and
+applies the variable scaling; a transcription may supply a sparse B whose
+columns satisfy its linear constraints exactly (`Substitution`).
 """
 
 from dataclasses import dataclass, replace
@@ -30,11 +30,11 @@ from pydrake.solvers import MathematicalProgram
 class Kernel(Protocol):
     """A function of n_in inputs, evaluated for n instances at once.
 
-    A kernel may also have `curvature(x, weights, data)`, the Hessians
-    (n, n_in, n_in) of its outputs summed with weights (n, n_out): it then
-    enters the Lagrangian's Hessian beside the Gauss-Newton terms: of residuals
-    always, of constraints once they nearly hold. Where that
-    is zero for some inputs, `curved_inputs` (n_in,) tells the others.
+    A kernel may also have `curvature(x, weights, data)`: the Hessians
+    (n, n_in, n_in) of its outputs, summed with weights (n, n_out). They are
+    added to the Gauss-Newton terms in the Lagrangian's Hessian, for residuals
+    always, for constraints once they nearly hold. `curved_inputs` (n_in,) bool
+    may exclude inputs by which they are zero.
 
     Attributes:
         sparsity: (n_out, n_in) bool, True where the Jacobian may be nonzero.
@@ -66,7 +66,7 @@ class LinearKernel:
 
 
 class BindingKernel:
-    """Any binding of a program, through its own AutoDiff evaluation."""
+    """Kernel of any binding of a program, evaluated by Drake's AutoDiff."""
 
     def __init__(self, binding):
         self._evaluator = binding.evaluator()
@@ -92,11 +92,11 @@ class Batch:
     """Instances of one kernel.
 
     Attributes:
-        name: what an error report calls it; instance t is "name[t]".
+        name: name in reports; instance t is "name[t]".
         kernel: the function.
-        indices: (n, n_in) indices of the inputs in the program.
+        indices: (n, n_in) indices of the inputs among program variables.
         data: (n, ...) constants handed to the kernel, or None.
-        lower, upper: (n, n_out) bounds; None of costs.
+        lower, upper: (n, n_out) bounds; None for costs.
     """
 
     name: str
@@ -113,11 +113,11 @@ class Batch:
 
 
 class BatchedProgram:
-    """A MathematicalProgram together with what is known of its structure.
+    """A MathematicalProgram together with its batches.
 
     Attributes:
-        prog: the program; anything that IPOPT can solve may be added to it
-            directly, its options too, and what is not in a batch is evaluated
+        prog: the program; anything that IPOPT can solve, and its options, may
+            be added to it directly. What is not in a batch is evaluated
             binding by binding. Visualization callbacks are called once for
             each iteration.
         constraints: batches lower <= f(x) <= upper.
@@ -134,12 +134,12 @@ class BatchedProgram:
         self._labels: list[tuple] = []
         self._covered: set[int] = set()
         self._keep_alive: list = []
-        # Index of a variable by its identity in Python, while that is kept
-        # alive: Drake takes ten times as long to find it.
+        # id of a Python variable, kept alive -> its index: ten times faster
+        # than Drake's look-up.
         self._known: dict[int, int] = {}
 
     def __getstate__(self):
-        # Of a calibration or prediction that another process is given.
+        # Reached if a calibration or prediction is sent to another process.
         raise TypeError(
             "a solved problem holds a Drake program, which cannot be pickled "
             "or copied; pass on a calibration's contact and trials or a "
@@ -149,27 +149,27 @@ class BatchedProgram:
 
     @property
     def counts(self) -> tuple[int, int, int]:
-        """Variables, costs and constraints: more where it was added to."""
+        """Numbers of variables, costs, constraints, which additions raise."""
         costs, constraints = self.prog.GetAllCosts, self.prog.GetAllConstraints
         return self.prog.num_vars(), len(costs()), len(constraints())
 
     def start(self) -> np.ndarray:
-        """Its initial guess (num_vars,), zero where it has none."""
+        """The program's initial guess (num_vars,), zero where none is set."""
         return np.nan_to_num(self.prog.initial_guess())
 
     def add_variables(self, names: list[str], sizes: list) -> np.ndarray:
-        """New variables (m,) by name, scaled by their sizes (m,)."""
+        """New variables (m,) with these names and typical sizes (m,)."""
         found = [self.prog.NewContinuousVariables(1, n)[0] for n in names]
         for variable, size in zip(found, sizes, strict=True):
             self.prog.SetVariableScaling(variable, size)
         return np.array(found)
 
     def index(self, variable) -> int:
-        """Index in the program of one variable."""
+        """Index of one variable in the program."""
         return int(self.indices(np.array([variable]))[0])
 
     def indices(self, variables: np.ndarray) -> np.ndarray:
-        """Indices in the program of an array of variables, same shape."""
+        """Indices of an array of variables in the program, same shape."""
         flat, known = variables.ravel().tolist(), self._known
         found = list(map(known.get, map(id, flat)))
         if None in found:
@@ -191,11 +191,11 @@ class BatchedProgram:
         """Name the variables of a trajectory for reports.
 
         Args:
-            kind: what bounds on them are: "limit" or "state".
+            kind: kind of bounds on them: "limit" or "state".
             variables: (n, m) decision variables.
-            columns: (m,) what each column is, such as "first trial's torque".
-            rows: (n,) where each row is, such as "at 0.2 s".
-            units: (m,) unit for reports, and factor that leads to it.
+            columns: (m,) name of each column, such as "first trial's torque".
+            rows: (n,) place of each row, such as "at 0.2 s".
+            units: (m,) unit for reports, and factor that converts to it.
         """
         index = self.indices(variables)
         self._labels.append((index, columns, rows, units))
@@ -247,11 +247,11 @@ class BatchedProgram:
     def register(
         self, name, kernel, bindings, index, lower, upper, data=None
     ) -> Batch:
-        """Tell that constraint bindings already in the program are a batch.
+        """Declare constraint bindings already in the program as a batch.
 
         Args:
-            bindings: n of them.
-            index: (n, n_in) of their variables, in the kernel's order.
+            bindings: n bindings.
+            index: (n, n_in) indices of their inputs, in the kernel's order.
             name, kernel, lower, upper, data: see `add_constraints`.
         """
         batch = Batch(name, kernel, index, data, lower, upper)
@@ -260,7 +260,7 @@ class BatchedProgram:
         return batch
 
     def add_residuals(self, name, kernel, variables, data=None) -> Batch:
-        """Add the cost 1/2 sum_t |f(x_t)|^2; arguments as above."""
+        """Add the cost 1/2 sum_t |f(x_t)|^2; see `add_constraints`."""
         bindings = []
         for t in range(len(variables)):
             function = _scalar_function(kernel, data, t)
@@ -296,7 +296,7 @@ class BatchedProgram:
         self._cover(bindings)
 
     def loose_constraints(self) -> list[Batch]:
-        """Generic constraints that belong to no batch, each as one."""
+        """Generic constraints in no batch, each as a batch of its own."""
         return [
             replace(
                 self._alone(binding, "constraint"),
@@ -307,7 +307,7 @@ class BatchedProgram:
         ]
 
     def loose_costs(self) -> list[Batch]:
-        """Generic costs that belong to no batch, each as one."""
+        """Generic costs in no batch, each as a batch of its own."""
         loose = self._uncovered(nonlinear_costs(self.prog))
         return [self._alone(binding, "cost") for binding in loose]
 
@@ -317,16 +317,15 @@ class BatchedProgram:
         return Batch(name, BindingKernel(binding), index)
 
     def show(self, x: np.ndarray) -> None:
-        """Call its visualization callbacks at variables x (num_vars,)."""
+        """Call the visualization callbacks at variables x (num_vars,)."""
         callbacks = self.prog.visualization_callbacks()
         for callback, index in _indexed(self.prog, callbacks):
             callback.Eval(x[index])
 
     def quadratic_cost(self) -> tuple[sp.csr_array, np.ndarray, float]:
-        """All linear and quadratic costs as 1/2 x^T Q x + b^T x + c.
+        """Q (sparse), b, c of all linear and quadratic costs.
 
-        Returns:
-            Q (sparse), b, c.
+        Their sum is 1/2 x^T Q x + b^T x + c.
         """
         prog = self.prog
         n = prog.num_vars()
@@ -358,7 +357,8 @@ class BatchedProgram:
         return [b for b in bindings if id(b.evaluator()) not in self._covered]
 
     def _cover(self, bindings):
-        # pydrake hands out the same wrapper as long as one is alive.
+        # Evaluators are recognised by id: pydrake returns the same wrapper as
+        # long as one is alive.
         evaluators = [b.evaluator() for b in bindings]
         self._keep_alive.extend(evaluators)
         self._covered.update(map(id, evaluators))
@@ -370,7 +370,7 @@ def _half_square(r):
 
 
 def _scalar_function(kernel, data, t):
-    """One instance of a kernel, for floats and AutoDiffXd."""
+    """Function of one instance t of a kernel, for floats and AutoDiffXd."""
     row = None if data is None else data[t : t + 1]
 
     def function(x):
@@ -407,7 +407,7 @@ def nonlinear_costs(prog):
 
 def _others(every, known) -> list:
     """Bindings that are not among those known."""
-    kept = [b.evaluator() for b in known]  # alive, so that ids are their own
+    kept = [b.evaluator() for b in known]  # kept alive: ids stay unique
     skip = set(map(id, kept))
     return [b for b in every if id(b.evaluator()) not in skip]
 
@@ -431,7 +431,7 @@ def variable_scaling(prog) -> np.ndarray:
 
 
 def linear_rows(prog):
-    """All linear constraints that are not in a batch: lower <= A x <= upper.
+    """All linear constraints in no batch as lower <= A x <= upper.
 
     Returns:
         A (sparse), lower, upper, and the rows' names.
@@ -452,7 +452,7 @@ def linear_rows(prog):
 
 
 class _Quadratics(NamedTuple):
-    """Quadratic costs: entries of Q; inputs with their b; sum of all c."""
+    """Quadratic costs: entries of Q (k,); inputs, b (n, m); sum of all c."""
 
     rows: np.ndarray
     columns: np.ndarray
@@ -463,7 +463,7 @@ class _Quadratics(NamedTuple):
 
 
 def _quadratics(inputs, Q, b, c) -> _Quadratics:
-    """Of n instances with m inputs; Q (n, m, m) takes less room sparse."""
+    """Costs of n instances with m inputs; Q (n, m, m) is kept sparse."""
     instance, row, column = np.nonzero(Q)
     return _Quadratics(
         inputs[instance, row],
@@ -476,7 +476,7 @@ def _quadratics(inputs, Q, b, c) -> _Quadratics:
 
 
 def _indexed(prog, bindings) -> list[tuple]:
-    """Each evaluator with its variables' indices; one look-up for all."""
+    """(evaluator, indices of its variables) of each binding."""
     variables = [binding.variables() for binding in bindings]
     if not variables:
         return []
@@ -505,7 +505,7 @@ class Substitution:
         matrix: (na, ny) sparse; x[variables] = matrix @ y + offset.
         offset: (na,).
         scale: (ny,) typical size of each unknown.
-        accuracy: (na,) how well a guess of each variable is to be kept.
+        accuracy: (na,) tolerance to which a guess of each variable is kept.
     """
 
     variables: np.ndarray
@@ -516,9 +516,9 @@ class Substitution:
 
 
 class Unknowns:
-    """What the solver varies: y, each in units of its typical size.
+    """The solver's unknowns y, each in units of its typical size.
 
-    First come the variables that are unknowns by themselves ("direct"), then
+    First come program variables that are unknowns themselves ("direct"), then
     the unknowns of the substitutions.
 
     Attributes:
@@ -591,17 +591,17 @@ class Unknowns:
         return np.clip(y, self.lower, self.upper)
 
     def bounding(self, variables) -> np.ndarray:
-        """Direct unknowns that have a bound, of some program variables."""
+        """Columns of direct unknowns with a bound, among given variables."""
         bounded = np.isfinite(self.lower) | np.isfinite(self.upper)
         hit = np.isin(self._direct, variables)
         return np.flatnonzero(bounded[: len(hit)] & hit)
 
     def variable_of(self, columns: np.ndarray) -> np.ndarray:
-        """Program variables of direct unknowns."""
+        """Indices of the program variables of direct unknowns."""
         return self._direct[columns]
 
     def column_of(self, variables: np.ndarray) -> np.ndarray:
-        """Unknown that is a program variable by itself, up to its scale.
+        """Column of y of each program variable that is a direct unknown.
 
         Raises:
             ValueError: a variable is fixed or substituted.

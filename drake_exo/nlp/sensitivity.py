@@ -1,7 +1,8 @@
-"""How an optimum moves with its data, from the system of its conditions.
+"""Sensitivity of an optimum to its data, from its optimality conditions.
 
 At a solution, H dy + A^T dl = -dgradient and A dy = dbounds, with the
-Gauss-Newton Hessian H and the Jacobian A of equations and active bounds.
+Gauss-Newton Hessian H and the Jacobian A of equations and active bounds;
+l are the multipliers.
 """
 
 from dataclasses import dataclass
@@ -13,22 +14,21 @@ from scipy.sparse import csgraph
 
 from drake_exo.nlp.sparse import SparseProgram
 
-# A bound closer than this, in units of the variable, is active.
+# A bound that is closer than this, in units of the variable, counts as active.
 _ACTIVE = 1e-5
-# Keeps the system regular where active bounds repeat an equation.
+# Added to the diagonal: active bounds may repeat an equation.
 _REGULAR = 1e-9
 _DIFFERENCE = 1e-5  # of a fixed variable's typical size
 
 
 @dataclass(frozen=True)
 class Response:
-    """Derivatives of some unknowns at the optimum.
+    """Derivatives of m unknowns at the optimum.
 
     Attributes:
-        by_gradient: (m, num_unknowns), by changes of the cost's gradient
-            (with the sign of a change that is added to it).
-        by_bounds: (m, num_constraints), by changes of a constraint's bound;
-            zero where it is not active.
+        by_gradient: (m, num_unknowns) by what is added to the cost's gradient.
+        by_bounds: (m, num_constraints) by the active bound of each constraint;
+            zero if none is active.
     """
 
     by_gradient: np.ndarray
@@ -45,11 +45,10 @@ def response(
     """Response of unknowns at an optimum y.
 
     Args:
-        problem: that y solves.
-        y: (num_unknowns,).
+        problem: the problem that y solves.
+        y: (num_unknowns,) the optimum.
         unknowns: (m,) indices into y; those at an active bound do not move.
-        border: all unknowns that touch everything, see `Optimum`; those
-            asked for by default.
+        border: see `Optimum`; `unknowns` by default.
         without: see `Optimum`.
     """
     border = unknowns if border is None else border
@@ -69,20 +68,20 @@ def response(
 
 
 class Optimum:
-    """The conditions of an optimum, linearised and factorised.
+    """Optimality conditions of an optimum, linearised and factorised.
 
     Args:
-        problem: that y solves.
-        y: (num_unknowns,).
-        border: unknowns that touch everything; without them, and equations
-            among them alone, the system is banded in time, and they follow
-            from the Schur complement.
-        without: part (num_unknowns, num_unknowns) of the cost's curvature
-            that is not to count.
+        problem: the problem that y solves.
+        y: (num_unknowns,) the optimum.
+        border: unknowns that all nodes share. Without them, and equations of
+            them alone, the system is banded in time; they are solved for by
+            the Schur complement.
+        without: part (num_unknowns, num_unknowns) of the cost's curvature to
+            leave out.
 
     Attributes:
-        free: unknowns that are not at a bound.
-        held: constraints that are equations or at a bound.
+        free: indices of unknowns that are not at a bound.
+        held: indices of constraints that are equations or at a bound.
     """
 
     def __init__(
@@ -99,7 +98,7 @@ class Optimum:
         g = problem.constraints(y)
         slack = np.minimum(g - problem.g_lower, problem.g_upper - g)
         self.held = held = np.flatnonzero(slack < _ACTIVE)
-        # Of Gauss and Newton; both triangles.
+        # Gauss-Newton Hessian, both triangles.
         lower = sp.csr_array(
             (problem.gauss_newton(y), problem.hessian_structure),
             (len(y), len(y)),
@@ -137,7 +136,7 @@ class Optimum:
         return x
 
     def solve(self, b: np.ndarray) -> np.ndarray:
-        """Solutions (n, k) for right-hand sides of free and held rows."""
+        """Solutions (n, k) for right-hand sides b: free rows, then held."""
         x = np.empty_like(b)
         inner = self._banded(b[self._rest])
         x[self._index] = self._schur @ (b[self._index] - self._border.T @ inner)
@@ -145,7 +144,7 @@ class Optimum:
         return x
 
     def _moved(self, b: np.ndarray) -> np.ndarray:
-        """Changes (num_unknowns, k) of the unknowns."""
+        """Changes (num_unknowns, k) of y for right-hand sides b (n, k)."""
         dy = np.zeros((len(self._y), b.shape[1]))
         dy[self.free] = self.solve(b)[: len(self.free)]
         return dy
@@ -157,7 +156,7 @@ class Optimum:
 
     @cached_property
     def multipliers(self) -> np.ndarray:
-        """Of `held`, with which the cost's gradient is balanced."""
+        """Multipliers of the constraints `held` at the optimum."""
         start = np.concatenate(
             [
                 -self._problem.gradient(self._y)[self.free],
@@ -169,8 +168,8 @@ class Optimum:
     def cost_by_fixed(self, variables: np.ndarray) -> np.ndarray:
         """Derivative (k,) of the optimal cost by fixed program variables.
 
-        That of the Lagrangian, by differences: what the unknowns do besides
-        is of second order.
+        It equals the Lagrangian's at constant y (envelope theorem), which is
+        found by central differences.
         """
         problem, y = self._problem, self._y
 
@@ -190,9 +189,9 @@ class Optimum:
         )
 
     def by_fixed(self, variables: np.ndarray) -> np.ndarray:
-        """Changes (num_unknowns, k) of y if fixed program variables move by 1.
+        """Derivatives (num_unknowns, k) of y by fixed program variables.
 
-        The conditions of the optimum are differenced with its multipliers.
+        From central differences of the optimality conditions by each variable.
         """
         problem, y, size = self._problem, self._y, len(self.free)
         unit = problem.unknowns.scale[variables]

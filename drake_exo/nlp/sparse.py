@@ -1,9 +1,9 @@
 """A BatchedProgram as sparse arrays: values, Jacobian and Hessian.
 
 Everything is a function of the solver's unknowns y (`Unknowns`). A batch
-becomes a `Block`, of which each instance sees the few unknowns that its inputs
-follow from; `ConstraintRows` stacks the rows of g(y), and `HessianLayout` adds
-up the blocks' parts of the Lagrangian's Hessian.
+becomes a `Block`, in which each instance depends on the few unknowns that
+determine its inputs. `ConstraintRows` stacks the rows of g(y), and
+`HessianLayout` sums the blocks' parts of the Lagrangian's Hessian.
 """
 
 import hashlib
@@ -24,21 +24,21 @@ from drake_exo.nlp.program import (
     linear_rows,
 )
 
-# Far from feasible points the multipliers, and so the curvature, mean little:
-# below the first violation curvature enters, above the second it leaves.
+# Far from feasible points multipliers, and so the constraints' curvature, mean
+# little: it enters below the first violation and leaves above the second.
 _NEARLY_FEASIBLE = 0.2
 _FAR = 2.0
-# Of coefficients and bounds of constraints that hold for every y.
+# Tolerance for coefficients and bounds of constraints that hold for every y.
 _IDENTICALLY_ZERO = 1e-9
-_ROUNDING = 1e-12  # of coefficients
+_ROUNDING = 1e-12  # relative, of coefficients
 
 
 class SparseProgram:
     """Objective, constraints and derivatives in the unknowns y.
 
     Attributes:
-        unknowns: what y is, and how the program's variables follow.
-        rows: what the rows of g(y) are.
+        unknowns: meaning of y, and map to the program's variables.
+        rows: meaning of the rows of g(y).
         num_unknowns: length of y.
         num_constraints: rows of g(y).
         y_lower, y_upper: bounds on y.
@@ -59,7 +59,7 @@ class SparseProgram:
         substitutions: tuple[Substitution, ...] = (),
         exact_hessian: bool = False,
     ):
-        # Binary variables would be let go, complementarity not be seen.
+        # Else binary variables and complementarity would be ignored.
         why = IpoptSolver().ExplainUnsatisfiedProgramAttributes(program.prog)
         if why:
             raise InputError(f"{why.rstrip('.')}; take out what was added")
@@ -81,11 +81,11 @@ class SparseProgram:
         self._lay_out_hessian()
 
     def start_again(self) -> None:
-        """Forget where the last attempt got to; call before each."""
+        """Reset to "far from feasible"; to be called before each attempt."""
         self._is_near = False
 
     def use_exact_hessian(self, exact: bool) -> None:
-        """Whether to add the curvature of all constraints and residuals."""
+        """Set whether the curvature of all constraints, residuals is added."""
         if self.exact_hessian != exact:
             self.exact_hessian = exact
             self._lay_out_hessian()
@@ -99,20 +99,20 @@ class SparseProgram:
         return self.unknowns.restrict(x)
 
     def move_fixed(self, variable: int, step: float) -> None:
-        """Move a fixed program variable; y stays."""
+        """Change the value of a fixed program variable; y stays."""
         self.unknowns.offset[variable] += step
         self._moved += step * self.rows.slope(variable)
         self._cache.clear()
 
-    # -- what is in the problem -------------------------------------------
+    # -- structure ---------------------------------------------------------
 
     def _collect_costs(self):
         matrix = self.unknowns.matrix
         self.residual_blocks = [
             Block(batch, matrix) for batch in self.program.residuals
         ]
-        # Kept in program variables: a basis of splines would lose digits in
-        # the cancellation of its large coefficients.
+        # Kept in program variables: in a basis of splines the large
+        # coefficients would cancel and lose digits.
         self._Q, self._b, self._c = self.program.quadratic_cost()
         self._costs = [
             Block(batch, matrix) for batch in self.program.loose_costs()
@@ -146,18 +146,18 @@ class SparseProgram:
         self.hessian_structure = self._hessian.structure
 
     def _is_curved(self, block: "Block") -> bool:
-        """Whether the curvature of a row or residual enters the Hessian."""
+        """Whether the curvature of a block may enter the Hessian."""
         kernel = block.batch.kernel
         if self.exact_hessian:
             return not hasattr(kernel, "A")
-        # What a user adds is not least squares: it bends as it likes.
+        # A constraint that a user adds may be curved in any way.
         return hasattr(kernel, "curvature") or isinstance(kernel, BindingKernel)
 
     def fingerprint(self) -> tuple[str, np.ndarray]:
-        """What a checkpoint is of: digest of structure; bounds and costs.
+        """Identity of the problem: digest of structure; bounds and costs.
 
-        The latter are numbers (k,), since their last digits are not the same
-        on every machine.
+        Bounds and costs are numbers (k,), to be compared with a tolerance:
+        their last digits differ between machines.
         """
         digest = hashlib.sha256()
         for part in self.jacobian_structure:
@@ -177,7 +177,7 @@ class SparseProgram:
     # -- evaluation -------------------------------------------------------
 
     def _timed(self, part, y, compute):
-        """Compute once for each part and y, and count time and calls."""
+        """As `_once`, and count time and calls."""
 
         def timed():
             start = time.perf_counter()
@@ -189,14 +189,14 @@ class SparseProgram:
         return self._once(part, y, timed)
 
     def _once(self, part, y, compute):
-        """Compute once for each part and y."""
+        """Result of `compute`, kept for as long as y is the same."""
         cached = self._cache.get(part)
         if cached is None or not np.array_equal(cached[0], y):
             cached = self._cache[part] = y.copy(), compute()
         return cached[1]
 
     def _expanded(self, y):
-        """As `expand`; every part asks for the same, which stays as it is."""
+        """`expand`, computed once for each y; not to be changed."""
         return self._once("expanded", y, lambda: self.expand(y))
 
     def _residual_terms(self, y):
@@ -235,11 +235,11 @@ class SparseProgram:
     def residual_gradient(
         self, y: np.ndarray, without: type | tuple[type, ...] = ()
     ) -> np.ndarray:
-        """The part of the gradient that least-squares residuals have.
+        """The gradient (ny,) of the cost of least-squares residuals.
 
         Args:
             y: unknowns.
-            without: kernels whose residuals are left out.
+            without: classes of kernels whose residuals are left out.
         """
         g = np.zeros(self.num_unknowns)
         for b, r, J in zip(
@@ -278,14 +278,14 @@ class SparseProgram:
     def moved_conditions(
         self, y: np.ndarray, multipliers: np.ndarray, variable: int, step: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Slope of the Lagrangian (ny,) and g if a fixed variable moves.
+        """Gradient of the Lagrangian (ny,) and g if a fixed variable moves.
 
-        Only what the variable enters is there, all else is left at zero: for
-        differences by it.
+        For differences by the variable: only terms that depend on it are
+        evaluated, all others are left at zero.
 
         Args:
             y: unknowns, which stay.
-            multipliers: of all rows of g.
+            multipliers: multipliers of all rows of g.
             variable: fixed program variable, moved by `step`.
         """
         x = self.expand(y)
@@ -315,8 +315,8 @@ class SparseProgram:
     def hessian(self, y, multipliers, factor) -> np.ndarray:
         """Nonzeros of the Lagrangian's Hessian (lower triangle).
 
-        Residuals contribute their Gauss-Newton term; once the constraints
-        nearly hold, they add their curvature where the kernel knows it. With
+        Residuals contribute their Gauss-Newton term, and their curvature if the
+        kernel has it; constraints contribute theirs once they nearly hold. With
         exact_hessian the curvature of all of them is added from the start.
         """
         start = time.perf_counter()
@@ -327,7 +327,7 @@ class SparseProgram:
         return H
 
     def gauss_newton(self, y: np.ndarray) -> np.ndarray:
-        """The cost's part of `hessian`, without what exact_hessian adds."""
+        """Nonzeros of the cost's Hessian, without what exact_hessian adds."""
         return self._curved(y, 1.0, self._cost_weights(y, 1.0, exact=False))
 
     def _curved(self, y, factor, weights):
@@ -376,7 +376,7 @@ class SparseProgram:
 
 
 def violation(problem: SparseProgram, y: np.ndarray) -> float:
-    """Largest violation of a constraint, also of an ElasticProgram."""
+    """Largest violation of a constraint, also for an ElasticProgram."""
     g = problem.constraints(y)
     return max(
         np.max(problem.g_lower - g, initial=0.0),
@@ -387,9 +387,9 @@ def violation(problem: SparseProgram, y: np.ndarray) -> float:
 class ConstraintRows:
     """The rows of g(y), and what they belong to.
 
-    In this order: linear constraints, bounds of single variables that a
-    substitution took away, blocks of kernels. Linear constraints that a
-    substitution satisfies exactly leave the problem.
+    In this order: linear constraints, bounds of program variables that are
+    substituted, blocks of kernels. Linear constraints that a substitution
+    satisfies exactly are left out.
 
     Attributes:
         linear: (nl, ny) matrix of the linear rows, which come first.
@@ -415,7 +415,7 @@ class ConstraintRows:
         )
 
     def _add_linear(self, program):
-        """Linear constraints, and bounds of substituted variables."""
+        """Set up the linear rows; returns their bounds."""
         A, lower, upper, names = linear_rows(program.prog)
         unknowns = self._unknowns
         rows = unknowns.substituted
@@ -441,7 +441,7 @@ class ConstraintRows:
         return lower, upper
 
     def _satisfied(self, batch: Batch) -> bool:
-        """Whether a batch holds for every y: then it leaves the problem."""
+        """Whether a batch holds for every y, so that it can be left out."""
         kernel = batch.kernel
         if not hasattr(kernel, "A"):
             return False
@@ -456,7 +456,7 @@ class ConstraintRows:
         return bool((largest <= _IDENTICALLY_ZERO * summed).all())
 
     def numbered_blocks(self):
-        """Every block with the slice of the rows that it fills."""
+        """Yield every block with the slice of its rows."""
         first = self.linear.shape[0]
         for block in self.blocks:
             last = first + block.batch.lower.size
@@ -464,7 +464,7 @@ class ConstraintRows:
             first = last
 
     def name(self, row: int) -> str:
-        """What constraint a row belongs to."""
+        """Name of the constraint of a row."""
         if row < len(self._names):
             return self._names[row]
         for block, rows in self.numbered_blocks():
@@ -474,11 +474,11 @@ class ConstraintRows:
         raise IndexError("no such constraint")
 
     def slope(self, variable: int) -> np.ndarray:
-        """Of each linear row (nl,) by a program variable."""
+        """Derivative (nl,) of the linear rows by a program variable."""
         return self._A[:, [variable]].toarray()[:, 0]
 
     def bounding(self, variables) -> np.ndarray:
-        """Rows that bound one of some substituted variables."""
+        """Rows that are bounds of any of the given substituted variables."""
         hit = np.isin(self._bounded, variables)
         return self._first_bounded + np.flatnonzero(hit)
 
@@ -496,15 +496,16 @@ class ConstraintRows:
 
 
 class Block:
-    """A batch seen from the unknowns: f(offset + B y), B gathered by node.
+    """A batch as a function of the unknowns, f(offset + B y).
 
     Attributes:
-        batch: of n instances with n_in inputs.
-        columns: (n, width) unknowns that each instance sees; -1 fills up.
-        local: (n_in, width) rows of B that all instances share, or
-            (n, n_in, width) of each.
+        batch: n instances with n_in inputs.
+        columns: (n, width) unknowns on which each instance depends, filled up
+            with -1.
+        local: (n, n_in, width) part of B that gives each instance's inputs, or
+            (n_in, width) if it is the same for all.
         pattern: (n, n_out, width) where the Jacobian may be nonzero.
-        bent: the same for what the curvature may touch.
+        bent: (n, n_out, width) unknowns by which outputs may be curved.
     """
 
     def __init__(self, batch: Batch, matrix: sp.csr_array):
@@ -522,7 +523,7 @@ class Block:
         self.local = np.zeros((n, n_in, width))
         self.local[node, slot, rank[position]] = rows.data
         structure = np.abs(self.local) > 0
-        # Bases of an even grid differ from node to node by rounding.
+        # On an even grid parts of B differ only by rounding.
         size = np.abs(self.local).max(axis=(0, 2), initial=0.0)[:, None]
         if (np.ptp(self.local, axis=0) <= _ROUNDING * size).all():
             self.local = self.local[0]
@@ -542,7 +543,7 @@ class Block:
         )
 
     def jacobian(self, x):
-        """Dense blocks (n, n_out, width) with respect to the unknowns."""
+        """Derivatives (n, n_out, width) by the unknowns `columns`."""
         J = self.batch.kernel.jacobian(x[self.batch.indices], self.batch.data)
         if self.local.ndim == 3:
             return J @ self.local
@@ -555,9 +556,9 @@ class Block:
         return flat.reshape(*J.shape[:2], -1)
 
     def curvature(self, x, weights):
-        """sum_i weights_i d2 f_i/dy2, by those unknowns that `bent` has.
+        """sum_i weights_i d2 f_i/dy2, by unknowns that `bent` has anywhere.
 
-        By differences of the Jacobian where the kernel has no `curvature`.
+        By differences of the Jacobian if the kernel has no `curvature`.
         """
         kernel, data = self.batch.kernel, self.batch.data
         z = x[self.batch.indices]
@@ -569,7 +570,7 @@ class Block:
             for k in self._curved_inputs:
                 H[:, k] = _directional(kernel, z, data, weights, k)
             H = 0.5 * (H + H.transpose(0, 2, 1))
-        # Most inputs, and the unknowns behind them, often bend nothing.
+        # Often most inputs, and the unknowns behind them, are not curved.
         inputs = self._curved_inputs
         local = self.local[..., inputs, :][..., self._bent_slots]
         H = H[:, inputs[:, None], inputs]
@@ -582,7 +583,7 @@ class Block:
 
 
 def _directional(kernel, z, data, weights, k):
-    """d/dz_k of weights^T J by central differences."""
+    """d/dz_k of weights^T J (n, n_in) by central differences."""
     h = 1e-6 * np.maximum(1.0, np.abs(z[:, k]))
     up, down = z.copy(), z.copy()
     up[:, k] += h
@@ -593,10 +594,10 @@ def _directional(kernel, z, data, weights, k):
 
 
 def _numbered(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Different keys in order, and the place of each key among them.
+    """Sorted unique keys, and the place of each key among them.
 
-    As np.unique, whose sort does not profit from keys that come in long runs:
-    five times as fast.
+    np.unique with return_inverse does the same; this sort makes use of long
+    runs of keys and is five times as fast.
     """
     order = np.argsort(keys, kind="stable")
     ordered = keys[order]
@@ -608,20 +609,20 @@ def _numbered(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def accumulate(g: np.ndarray, block: Block, local: np.ndarray) -> None:
-    """Add a block's parts of a gradient (n, width) where they belong."""
+    """Add a block's parts `local` (n, width) of a gradient to g (ny,)."""
     keep = block.columns >= 0
     g += np.bincount(block.columns[keep], local[keep], minlength=len(g))
 
 
 def _touched(pattern: np.ndarray) -> np.ndarray:
-    """Slots that a pattern (n, n_out, width) has anywhere."""
+    """Slots (of width) at which a pattern (n, n_out, width) has any True."""
     return np.flatnonzero(pattern.any(axis=(0, 1)))
 
 
 class HessianLayout:
-    """Union of all blocks' lower triangles, and where each one lands.
+    """Sparsity of the Hessian, and the place in it of each block's entries.
 
-    Only unknowns that one output depends on together may be coupled.
+    Only unknowns on which one output depends together may be coupled.
 
     Args:
         constant: (ny, ny) Hessian of the quadratic cost.
@@ -630,7 +631,7 @@ class HessianLayout:
 
     Attributes:
         structure: (rows, columns) of the lower triangle's nonzeros.
-        constant: the quadratic cost's values there.
+        constant: the quadratic cost's values at these.
     """
 
     def __init__(
@@ -670,11 +671,11 @@ class HessianLayout:
         """Nonzeros in the order of `structure`.
 
         Args:
-            factor: of the cost.
+            factor: factor of the cost.
             x: (n,) program variables.
             jacobians: id of a residual block -> its Jacobian.
-            weights: id of a block -> weights of its outputs' curvature; it
-                is left out where there are none.
+            weights: id of a block -> weights of its outputs' curvature; blocks
+                without weights are left out.
         """
         H = factor * self.constant
         for b, slots, kept, places in self._gauss_newton:
