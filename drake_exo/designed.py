@@ -1,7 +1,7 @@
-"""A design with its forecast: what Phase D found, its checks, tables and files.
+"""A design with its forecast: results of Phase D, checks, tables and files.
 
-Movements on the cuffs of today and on the design stand beside each other, and
-beside those that were measured once it was built.
+Movements on today's cuffs and on the design are compared with each other, and
+with those measured on the design once it is built.
 """
 
 from __future__ import annotations
@@ -58,19 +58,19 @@ from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.gathering import format_table, rounded
 from drake_exo.study import write_inputs
 
-# A cuff that moves further than this is where nothing was calibrated.
+# A cuff that is moved further than this is outside of what was calibrated.
 _KNOWN_M = 0.03
-_BOLD = 1e-3  # of a change that is one
+_BOLD = 1e-3  # least relative change that counts as one
 _REMOVED = ".removed"
-# Share that a forecast may be off the norm that the design promised.
+# Share by which a forecast may exceed the norm that the design promised.
 _KEPT = 0.1
-# Of a limit, from where on a forecast is beyond it.
+# Multiple of a limit above which a forecast counts as beyond it.
 _BEYOND = 1.02
 _BEYOND_LIMIT = (
     "is beyond its limit in the forecast, where the person moves as before: "
     "lower limits."
 )
-# What is told of a drive, and its unit.
+# Reported quantity of a drive -> unit.
 _DRIVES = {"torque_nm": "N m", "speed_deg_s": "deg/s", "power_w": "W"}
 
 
@@ -80,10 +80,10 @@ class Moved:
 
     Attributes:
         trial: solved.
-        bands: of 95 %; None where no calibration says how sure it is.
-        measured: the trial as it was recorded, on the cuffs of today.
-        seen: solved with encoders, which tell where the device went on the
-            cuffs that it was measured on; None on others.
+        bands: bands of 95 %; None if the contact has no posterior.
+        measured: the trial as recorded, on today's cuffs.
+        seen: solved with encoders tracked, so that the device moves as it did
+            on the cuffs on which it was measured; None on other cuffs.
     """
 
     trial: Trial
@@ -97,15 +97,15 @@ class Peak:
     """Largest normal force of one cuff in a trial, mean over trials [N].
 
     Attributes:
-        measured_before: by mats; None where there were none.
-        today: what the forecast is compared with: measured_before, but where
-            the model differs from it by more than a factor of 2.
-        model_before, model_after: of the model, on the cuffs of today and on
-            the design; 0 of a cuff that is left out.
-        forecast_after: of what mats would show on the design: the model's
-            times what mats and model differ by today.
+        measured_before: by mats; None without mats.
+        today: value to compare the forecast with: measured_before, unless the
+            model differs from it by more than a factor of 2.
+        model_before, model_after: the model's, on today's cuffs and on the
+            design; 0 for a cuff that is left out.
+        forecast_after: reading of mats expected on the design: the model's
+            times today's ratio of mats to model.
         forecast_low, forecast_high: ends of its band of 95 %.
-        measured_after: by mats, once it was built.
+        measured_after: by mats, once the design is built.
     """
 
     measured_before: float | None
@@ -123,19 +123,19 @@ class Designed:
     """A design with its forecast; see `design`.
 
     Attributes:
-        settings: of the design.
-        today, found: program with nothing changed, and of the design.
+        settings: the design's.
+        today, found: solution with nothing changed, and of the design.
         before, after: wearer -> its movements on today's cuffs and on the
             design.
-        parts: what was free -> the norm of forces that it reached [N], and
-            the same in a forecast.
-        measured: wearer -> its trials on the design, once it was built.
-        seen: likewise, solved with encoders.
-        inputs: checks of the studies and calibrations that it is made of.
+        parts: what was free to change ("nothing", "places alone", ..., "all")
+            -> norm of forces that this reached [N].
+        measured: wearer -> its trials on the design, once it is built.
+        seen: likewise, solved with encoders tracked.
+        inputs: checks of the studies and calibrations used.
         tried: designs with removable cuffs left out in turn, the one with
-            every cuff first; empty where none is removable.
-        stopped: whether the user ended what comes after a design: fewer
-            cuffs, or parts.
+            every cuff first; empty if none is removable.
+        stopped: whether the user stopped what follows a design: leaving out
+            cuffs, or `parts`.
     """
 
     settings: DesignSettings
@@ -164,7 +164,7 @@ class Designed:
 
     @property
     def design(self) -> Design:
-        """What is to be built; raises SealedSolutionError likewise."""
+        """The design to be built; SealedSolutionError if the solve failed."""
         return self.found.design
 
     @property
@@ -218,7 +218,7 @@ class Designed:
     def support(self) -> dict[str, float | None]:
         """Work of the device over all trials [J], before, after, measured.
 
-        The first two over the movement of today, whose device goes as far.
+        Before and after are along the device's movement of today.
         """
         return {
             "before": sum(works(self.today)[name] for name in self.before),
@@ -236,7 +236,7 @@ class Designed:
 
     @cached_property
     def slopes(self) -> dict[str, float]:
-        """Change of the objective for a step of each variable from today."""
+        """Change of cost/weight by a step (size) of each variable today."""
         slopes, weight = self.today.slopes(), self.today.problem.settings.weight
         return {
             v.name: slopes[v.name] * v.size / weight
@@ -245,7 +245,7 @@ class Designed:
         }
 
     def variables(self) -> list[dict]:
-        """A row for each design variable that may change."""
+        """One row for each free design variable, and each removable cuff."""
         rows = []
         for v in self.found.problem.design:
             if not v.free:
@@ -285,13 +285,13 @@ class Designed:
         return rows
 
     def felt(self, wearers: Sequence[str] | None = None) -> list[dict]:
-        """What every cuff does to the person, before and after.
+        """Largest loads of every cuff on the person, before and after.
 
-        Of all wearers, or of those that are named. Forces across the limb as
-        mats would show them, migration as encoders would;
-        `measured_migration_mm` is that once the design was built,
-        `half_width_95` of the forecast's forces (None without bands). A
-        mean's is the mean half width: what is not known of cuffs goes on.
+        Over all wearers, or those named. Forces across the limb are as mats
+        would show them, migration as encoders would. `measured_migration_mm`
+        is that on the built design, `half_width_95` that of the forecast's
+        forces (None without bands); for a mean it is the mean half width, since
+        errors of a cuff do not average out over time.
         """
         rows = []
         who = {w.name: w for w in self.found.problem.wearers}
@@ -354,10 +354,10 @@ class Designed:
         return rows
 
     def drives(self, wearers: Sequence[str] | None = None) -> list[dict]:
-        """The largest of what every drive of the device does.
+        """Largest torque, speed and power of every drive, before and after.
 
-        Of all wearers, or of those that are named: its torque, besides the
-        joint's friction and spring, the joint's speed, and their product.
+        Over all wearers, or those named. The torque is without the joint's
+        friction and spring; power is torque times speed.
         """
         who = {w.name: w for w in self.found.problem.wearers}
         joints = self.first[0].model.coordinates.device
@@ -381,9 +381,9 @@ class Designed:
         return rows
 
     def wearers(self) -> dict[str, dict[str, float]]:
-        """Wearer -> norm of what it feels today and on the design [N].
+        """Wearer -> norm of its cuffs' forces today and on the design [N].
 
-        As the program has it, of drawn and sized ones, too.
+        From the program, including drawn and sized wearers.
         """
         design = self.design
         return {
@@ -403,14 +403,13 @@ class Designed:
         moved: Mapping[str, Sequence[Trial]],
         shown: bool = True,
     ) -> np.ndarray:
-        """The largest (3,) of all wearers' [m, m, rad].
+        """Largest deflection (3,) of a cuff over wearers [m, m, rad].
 
         Args:
-            cuff: its name.
-            design: that they wear.
+            cuff: name of the cuff.
+            design: the design that they wear.
             moved: wearer -> its trials.
-            shown: whether the model's migration is made what encoders would
-                tell.
+            shown: convert the model's migration to what encoders would show.
         """
         found = []
         for w in self.found.problem.wearers:
@@ -426,7 +425,7 @@ class Designed:
         return np.max(found, axis=0)
 
     def checks(self) -> tuple[Check, ...]:
-        """What the design has to hold."""
+        """All checks: inputs, solve, goals of the design, notes."""
         solution = self.solution
         said = ""
         if not self.success:
@@ -437,7 +436,7 @@ class Designed:
         return (*self.inputs, solved, *self._goals(), *self._notes())
 
     def _goals(self) -> Iterator[Check]:
-        """What a design that was found has to reach."""
+        """Checks of what a solved design has to reach."""
         s, limit = self.support, 3.0
         change = 100.0 * abs(s["after"] / s["before"] - 1.0)
         yield Check(
@@ -491,7 +490,7 @@ class Designed:
         )
 
     def _notes(self) -> Iterator[Check]:
-        """What is told of it."""
+        """Notes: forces as built, migration, limits, bounds, extrapolation."""
         note = partial(Check, level="note")
         for cuff, peak in self.peaks.items():
             value = peak.measured_after
@@ -525,7 +524,7 @@ class Designed:
                     "slides further in the forecast: lower "
                     "limits.migration_mm",
                 )
-        for wearer in self.after:  # whose own limits these are
+        for wearer in self.after:  # limits are relative to each one's today
             others = f", {wearer}" if len(self.after) > 1 else ""
             for of, value, unit, name, limit in self._limited(wearer):
                 if limit is not None and value > _BEYOND * limit:
@@ -558,7 +557,7 @@ class Designed:
             yield note("design.extrapolation", where=cuff, sentence=said)
 
     def _limited(self, wearer: str) -> Iterator[tuple]:
-        """Cuff or joint, value, unit, name and value of the limit, if any."""
+        """Yield cuff or joint, value, unit, limit's name, limit or None."""
         limits = self.settings.limits
         units = {"shear_n": "N", "peak_n": "N", "moment_nm": "N m"}
         keys = list(units)  # as components are counted
@@ -589,11 +588,11 @@ class Designed:
         ]
 
     def verdict(self, accepted: Sequence[str] = ()) -> Verdict:
-        """All checks."""
+        """All checks, with names of those that need not hold."""
         return Verdict(self.checks(), tuple(accepted))
 
     def summary(self, accepted: Sequence[str] = ()) -> dict:
-        """What summary.json holds."""
+        """Contents of summary.json."""
         found = {
             "phase": "design",
             "subjects": list(self.before),
@@ -627,7 +626,7 @@ class Designed:
         }
 
     def table(self) -> str:
-        """Before and after by cuff, and the design."""
+        """Text of design.txt: loads before and after, and the design."""
         beyond = self.beyond()
         rows = [
             [
@@ -717,7 +716,7 @@ class Designed:
         return "\n\n".join(parts)
 
     def beyond(self) -> list[str]:
-        """Cuffs and joints of which the design is an extrapolation."""
+        """Cuffs and joints at which the design extrapolates."""
         moved = [r["name"] for r in self.variables() if r["extrapolated"]]
         names = [*self.softened(), *(n.partition(".")[0] for n in moved)]
         return [n for n in (*self.peaks, *self.design.joints) if n in names]
@@ -725,7 +724,7 @@ class Designed:
     def write(
         self, folder: str | Path, accepted: Sequence[str] = ()
     ) -> Verdict:
-        """Table, figure, design.yaml and summary.json into a folder."""
+        """Write design.yaml, tables, figures, trials and summary.json."""
         from drake_exo.report.figures import DESIGN_FIGURES
 
         folder = path_of(folder, "folder")
@@ -767,11 +766,11 @@ _RESPONSE = {
 def hold_as_built(
     found: DesignResult, after: Mapping[str, Sequence[Moved]]
 ) -> Hold:
-    """By how much the built cuffs hold the device in the forecast.
+    """Least stiffness with which the built cuffs hold the device, see `hold`.
 
     Args:
         found: the design.
-        after: wearer -> its movements on it; others are left out.
+        after: wearer -> forecast movements; wearers not in it do not count.
     """
     return min(
         hold(
@@ -788,14 +787,14 @@ def hold_as_built(
 def forecast_norm(
     found: DesignResult, after: Mapping[str, Sequence[Moved]]
 ) -> float:
-    """The norm of forces on a design as it is built [N].
+    """Forecast of the norm of forces on a design as built [N].
 
-    What it promises times what the forecast of the calibrated wearers has of
-    what is promised to them.
+    The norm that the program promises for all wearers, times the ratio of
+    forecast to promised norm of the calibrated ones.
 
     Args:
         found: the design.
-        after: wearer -> its movements on it.
+        after: calibrated wearer -> forecast movements.
     """
     settings = found.problem.settings
     wearers = [found.wearers[name] for name in after]
@@ -813,7 +812,7 @@ def forecast_norm(
 
 
 def trial_label(trial: Trial, who: str) -> str:
-    """What a trial's file is called; of several wearers, with the name."""
+    """Name of a trial's file; with the wearer's name if there are several."""
     return f"{who}_{trial.name}" if who else trial.name
 
 
@@ -827,16 +826,16 @@ def largest_deflection(
 
 
 def largest_force(trial: Trial, cuff: str) -> float:
-    """A cuff's largest normal force in a trial [N]; 0 where it is left out."""
+    """A cuff's largest normal force in a trial [N]; 0 if it is left out."""
     if cuff not in trial.cuffs:
         return 0.0
     return float(np.abs(trial.cuffs[cuff].normal).max())
 
 
 def _half_widths(moved: Moved, cuff: str, shown: float) -> np.ndarray:
-    """Of bands at each largest component; and the normal force's mean one.
+    """Half widths (4,): bands at each largest component; mean of normal's.
 
-    0 (4,) where there are none; `shown` as of Wearer.
+    0 without bands. `shown`: see Wearer.
     """
     if moved.bands is None or cuff not in moved.trial.cuffs:
         return np.zeros(4)

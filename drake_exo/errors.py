@@ -1,4 +1,4 @@
-"""Mistakes of the input: their sentences, and the check that finds most.
+"""Errors in the user's input, and checks that raise them.
 
 Imported at every start of the command, so it imports next to nothing.
 """
@@ -8,7 +8,7 @@ from math import isfinite
 from numbers import Integral
 from pathlib import Path
 
-_LONGEST = 120  # characters of another library's message
+_LONGEST = 120  # characters kept of another library's message
 _BOUNDS = (
     ("above", lambda value, bound: value > bound, "above"),
     ("below", lambda value, bound: value < bound, "below"),
@@ -18,7 +18,7 @@ _BOUNDS = (
 
 
 class InputError(Exception):
-    """Bad input, told in one sentence that names file, field and remedy.
+    """Faulty input, with one sentence that names file, field and remedy.
 
     The command line prints the sentence and exits with code 2.
 
@@ -31,9 +31,9 @@ class InputError(Exception):
 
 
 def was_interrupted(error: BaseException) -> bool:
-    """Whether Ctrl-C is what made an error, however many were made of it.
+    """Whether Ctrl-C caused an error, directly or through others.
 
-    Compiled code and extension modules that are being loaded make others.
+    Compiled code and extension modules that are loading raise others from it.
     """
     while error.__cause__ is not None:
         error = error.__cause__
@@ -46,14 +46,14 @@ def check_bounds(
     """Refuse a value that its field does not allow.
 
     Args:
-        where: the field, as the sentence names it.
-        value: in the field's unit.
-        metadata: of the dataclass's field: unit (for the sentence), above,
-            below (exclusive), minimum, maximum (inclusive); all optional.
-        text: the value as it was written, for the sentence.
+        where: name of the field in the message.
+        value: value in the field's unit.
+        metadata: the dataclass field's, all optional: unit (for the message),
+            above, below (exclusive), minimum, maximum (inclusive).
+        text: the value as it was written, for the message.
 
     Raises:
-        InputError: no number, not finite, or out of bounds.
+        InputError: the value is no number, not finite, or out of bounds.
     """
     unit = metadata.get("unit")
     try:
@@ -73,10 +73,10 @@ def check_bounds(
 
 
 def check_names(names: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse a name that is none of those known.
+    """Refuse names that are not known.
 
     Raises:
-        InputError: naming it, and those that are known.
+        InputError: it names the first unknown one, and those known.
     """
     if isinstance(names, str):
         raise InputError(f"{names!r} is not a list of names; give a list")
@@ -89,10 +89,10 @@ def check_names(names: Iterable[str], known: Iterable[str]) -> None:
 
 
 def check_type(value: object, cls: type, what: str) -> None:
-    """Refuse what is of another class, with how the value begins.
+    """Refuse a value that is not of a class.
 
     Raises:
-        InputError: naming the argument.
+        InputError: it names the argument `what` and how the value begins.
     """
     if not isinstance(value, cls):
         begin = " ".join(repr(value).split())  # an array's has many lines
@@ -100,10 +100,10 @@ def check_type(value: object, cls: type, what: str) -> None:
 
 
 def check_count(value: object, least: int, what: str) -> None:
-    """Refuse what is no whole number, or is below `least`.
+    """Refuse a value that is no whole number, or is below `least`.
 
     Raises:
-        InputError: naming the argument.
+        InputError: it names the argument `what`.
     """
     whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not whole or value < least:
@@ -113,10 +113,10 @@ def check_count(value: object, least: int, what: str) -> None:
 
 
 def path_of(given: object, what: str) -> Path:
-    """The path that somebody gives, as text or as a path.
+    """The path given as text or as a path.
 
     Raises:
-        InputError: it is neither, naming the argument.
+        InputError: `given` is neither; it names the argument `what`.
     """
     try:
         return Path(given)
@@ -125,14 +125,14 @@ def path_of(given: object, what: str) -> Path:
 
 
 def check_fields(values: object, what: str) -> None:
-    """Refuse a dataclass of numbers of which one is out of bounds.
+    """Refuse a dataclass of numbers if one of them is out of bounds.
 
     Args:
         values: instance; each field's metadata as in `check_bounds`.
         what: name of the whole, such as "bushing 'shank'".
 
     Raises:
-        InputError: naming the field.
+        InputError: it names the field.
     """
     for name, field in values.__dataclass_fields__.items():
         value = getattr(values, name)
@@ -140,10 +140,10 @@ def check_fields(values: object, what: str) -> None:
 
 
 def check_data_root(root: Path) -> None:
-    """Refuse a folder for relative paths that is none.
+    """Refuse a root of relative paths that is not a folder.
 
     Raises:
-        InputError: naming it.
+        InputError: it names the path.
     """
     if not root.is_dir():
         raise InputError(
@@ -152,15 +152,15 @@ def check_data_root(root: Path) -> None:
 
 
 def check_file_name(where: str, name: str) -> None:
-    """Refuse a name that files cannot be named by.
+    """Refuse a name that cannot be part of a file's name.
 
     Args:
-        where: the field, as the sentence names it.
+        where: name of the field in the message.
         name: its value.
 
     Raises:
-        InputError: empty, too long, or with more than letters, digits,
-            spaces, and ._-+() in it.
+        InputError: the name is empty, too long, or has characters other than
+            letters, digits, spaces and ._-+().
     """
     allowed = all(c.isalnum() or c in " ._-+()" for c in name)
     if not (allowed and len(name.strip(" .")) > 0 and len(name) <= 100):
@@ -173,8 +173,8 @@ def check_file_name(where: str, name: str) -> None:
 def nearest(name: str | None, names: Iterable[str]) -> str:
     """The end of a sentence about a wrong name: "; did you mean 'hip'?".
 
-    Empty where no name is near. Neither case nor what stands before a colon,
-    as a subject's name does before a marker's, makes a name another one.
+    Empty if no name is similar. Case and a prefix before a colon, such as the
+    subject's name before a marker's, are ignored.
 
     >>> nearest("L_calc", ["r_calc", "S4:L_CALC"])
     "; did you mean 'S4:L_CALC'?"
@@ -188,8 +188,8 @@ def nearest(name: str | None, names: Iterable[str]) -> str:
 
 
 def printable(text: str, keep: str = "") -> str:
-    """The text with question marks for what cannot be printed."""
-    # By the few characters that a text is made of: recordings are long.
+    """The text with question marks for characters that cannot be printed."""
+    # Over the set of its characters: recordings are long.
     bad = (c for c in set(text) if not c.isprintable() and c not in keep)
     return text.translate(dict.fromkeys(map(ord, bad), "?"))
 

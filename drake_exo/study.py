@@ -1,7 +1,8 @@
-"""A study: one subject, its trials, and what to make of them.
+"""A study: one subject, its trials, and the settings of all phases.
 
-On top of everything else: read recordings, calibrate, predict, look at it.
-Nothing below imports this module; the commands call exactly this.
+The top level of the package: read recordings (`read_study`), calibrate
+(`calibrate_foot_ground`, `calibrate_interaction`), predict (`predict`), plot
+and write results. Of the layers below nothing imports this module.
 """
 
 from __future__ import annotations
@@ -101,8 +102,8 @@ from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.gathering import rmsd_table
 
-# Pictures and simulation take a second to import, which a user of `check`
-# would wait for: they come in with what draws or simulates.
+# Pictures and simulation take a second to import, for which a user of `check`
+# would wait: they are imported where they are used.
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -128,7 +129,7 @@ class StudyFile(RecordingSettings):
 
 
 def _check_names(phase: str, settings, model: Assembly) -> None:
-    """Refuse settings of spheres, cuffs or constants that there are not."""
+    """Refuse settings of spheres, cuffs or constants that do not exist."""
     if phase == "foot_ground":
         settings.law_constants()
         group = "spheres"
@@ -150,7 +151,7 @@ def _check_names(phase: str, settings, model: Assembly) -> None:
                 )
 
 
-# What a study's attributes are, those of a study file among them.
+# Attributes of a study: settings, other parts, and those set by its classes.
 _SETTINGS = {
     "foot_ground": FootGroundSettings,
     "interaction": InteractionSettings,
@@ -168,14 +169,13 @@ class Study:
     Args:
         model: subject and device.
         trials: measured, simulated or made in any other way.
-        name: of the subject.
+        name: name of the subject.
         foot_ground, interaction, prediction, design: settings of Phases A
-            to D.
-        filter: that the trials' signals went through.
-        sole: law of what the feet wear; without it, their contact is
-            calibrated.
-        device: how the device was measured, and its joints' friction.
-            Classes of all settings are in `drake_exo.settings`.
+            to D (classes of all settings are in `drake_exo.settings`).
+        filter: filter that was applied to the trials' signals.
+        sole: contact law of a sole that the feet wear; without it, their
+            contact is calibrated.
+        device: how the device was measured; friction and springs of its joints.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> model, trials = synthetic.rises_on_spheres(2, nodes_per_second=40)
@@ -184,7 +184,7 @@ class Study:
     ['rise1', 'rise2']
     """
 
-    reads: Sequence[Path] = ()  # files that it is made of
+    reads: Sequence[Path] = ()  # files from which it is made
 
     def __init__(
         self,
@@ -212,7 +212,7 @@ class Study:
         self._trials = as_trials(trials)
 
     def __setattr__(self, name: str, value: object) -> None:
-        # A name that is misspelt would be kept, and never read.
+        # A misspelt name would otherwise be set and never read.
         if name in _SETTINGS:
             value = schema.checked(value, _SETTINGS[name], name)
             _check_names(name, value, self._assembly)
@@ -232,7 +232,7 @@ class Study:
         super().__setattr__(name, value)
 
     def _part(self, name: str, value: object) -> object:
-        """A part of the study, if it is one."""
+        """The value, checked, of a part of the study."""
         if name in ("name", "model"):
             check_type(value, str if name == "name" else Model, name)
         elif name == "device" and value is not None:
@@ -247,24 +247,24 @@ class Study:
 
     @property
     def _assembly(self) -> Assembly:
-        """What the model is put together of."""
+        """Descriptions of which the model is assembled."""
         return self.model.assembly
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {_named(self._trials)})"
 
     def trials(self, use: Use | None = None) -> tuple[Trial, ...]:
-        """The trials; with a study file those of one use, or all of them.
+        """The trials; of a study file, those of one use, or all by default.
 
         Raises:
-            InputError: there is no such use, no trial has it, or the files
-                are not as they should be.
+            InputError: there is no such use or no trial of it, or the files
+                are faulty.
         """
         _check_use(use)
         return self._trials
 
     def alone(self, trials: Sequence[Trial]) -> Study:
-        """The same study with other trials, which come from no recordings.
+        """A copy with other trials, which are not cut from recordings.
 
         >>> from drake_exo.virtual_laboratory import synthetic
         >>> made = Study(*synthetic.rises_on_spheres(2, nodes_per_second=40))
@@ -277,32 +277,32 @@ class Study:
 
     @property
     def ground(self) -> GroundContact | None:
-        """Contact of the feet, where a sole's law says it."""
+        """Contact of the feet by the sole's law; None without a sole."""
         if self.sole is None:
             return None
         return self.sole.ground(self.model, self.foot_ground.sole_at_m)
 
     def plausibility(self, use: Use | None = None) -> tuple[Check, ...]:
-        """Whether recordings can be what the study takes them for.
+        """Checks whether recordings are plausible for what they are taken for.
 
-        Trials that are not cut from recordings are not judged.
+        Trials that are not cut from recordings are not checked.
 
         Args:
-            use: of the trials; all by default.
+            use: use of the trials to check; all by default.
         """
         return ()
 
     def gate(
         self, use: Use | None = None, accepted: Sequence[str] = ()
     ) -> tuple[Check, ...]:
-        """The checks of `plausibility`, once they let the trials pass.
+        """The checks of `plausibility`; raises if any of them fails.
 
         Args:
-            use: of the trials; all by default.
+            use: use of the trials to check; all by default.
             accepted: names of checks, or beginnings of them, that may fail.
 
         Raises:
-            InputError: another one fails.
+            InputError: a check fails that is not accepted.
 
         >>> from drake_exo.virtual_laboratory import synthetic
         >>> Study(*synthetic.rises_on_spheres(1, nodes_per_second=40)).gate()
@@ -313,7 +313,7 @@ class Study:
         return checks
 
     def warn_of(self, trials: Sequence[Trial]) -> None:
-        """Warn of trials that `gate` would refuse, unless it has seen them."""
+        """Warn of trials that `gate` would refuse and has not yet checked."""
 
     def calibrated(
         self,
@@ -321,19 +321,19 @@ class Study:
         accepted: Sequence[str] = (),
         trials: Sequence[Trial] = (),
     ) -> tuple[ContactModel, list[Check]]:
-        """A calibration's contact, where it holds and is of this study.
+        """A calibration's contact, if it holds and belongs to this study.
 
         Args:
-            folder: that `calibrate` wrote.
-            accepted: as of `gate`.
-            trials: that it is to be used for.
+            folder: folder that a calibration has written.
+            accepted: names of checks that may fail, see `gate`.
+            trials: trials for which it is to be used.
 
         Returns:
             The contact, on the study's sole if it has one, and the checks of
             its provenance.
 
         Raises:
-            InputError: there is none, or another check fails.
+            InputError: there is none, or a check fails that is not accepted.
         """
         found = read_calibration(folder)
         law = None if self.sole else self.foot_ground.law
@@ -341,7 +341,7 @@ class Study:
         return self.worn(found.taken(checks, accepted)), checks
 
     def worn(self, contact: Calibration | ContactModel) -> ContactModel:
-        """The contact, see `contact_of`, on the study's sole if it has one."""
+        """The contact, see `contact_of`, with the study's sole if any."""
         contact = contact_of(contact)
         if self.sole is None:
             return contact
@@ -352,9 +352,9 @@ class RecordedStudy(Study):
     """A study whose trials are cut from recordings when they are asked for.
 
     Attributes:
-        file: what the study file says.
-        root: folder that its paths start from.
-        path: of that file, if it was read from one.
+        file: contents of the study file.
+        root: folder to which its paths are relative.
+        path: path of the study file, if it was read from one.
     """
 
     def __init__(self, file: StudyFile, root: Path, path: Path | None = None):
@@ -390,13 +390,13 @@ class RecordedStudy(Study):
 
     @property
     def reads(self) -> Sequence[Path]:
-        """The study file and all that it names."""
+        """The study file and all files that it names."""
         named = [self.root / name for name in schema.paths_of(self.file)]
         return [*named, self.path] if self.path else named
 
     @cached_property
     def recordings(self) -> Recordings:
-        """What trials are cut from."""
+        """The recordings from which trials are cut."""
         return Recordings(self.file, self.root, self.subject)
 
     @cached_property
@@ -411,7 +411,7 @@ class RecordedStudy(Study):
 
     @property
     def filter(self) -> Filter:
-        """That the trials' signals go through."""
+        """Filter that is applied to the trials' signals."""
         return self.file.filter
 
     @property
@@ -438,11 +438,11 @@ class RecordedStudy(Study):
         return tuple(self._loaded[f.name] for f in files)
 
     def step(self, *which, **more) -> RecordedStep:
-        """One step of a foot: `recorded_step` from its argument `trial` on."""
+        """One step of a foot; arguments as `recorded_step`, from `trial` on."""
         return recorded_step(self.file, self.root, *which, **more)
 
     def quality(self) -> Quality:
-        """How good the recordings are, without solving anything."""
+        """Quality of the recordings, without solving anything."""
         return assess(self.subject, self.trials(), self.plausibility())
 
     def plausibility(self, use: Use | None = None) -> tuple[Check, ...]:
@@ -460,7 +460,7 @@ class RecordedStudy(Study):
         try:
             refuse(checks, (), self.name)
         except InputError as error:
-            # Of the line that called what calls this.
+            # Point to the line that called this method's caller.
             warnings.warn(str(error), stacklevel=3)
 
     def _judge(self, trials: Sequence[Trial]) -> tuple[Check, ...]:
@@ -481,12 +481,12 @@ def read_study(
 
     Args:
         path: the YAML file.
-        data_root: folder that its relative paths start from; by default the
+        data_root: folder to which its paths are relative; by default the
             folder of the study file.
 
     Raises:
-        InputError: the file says something that is not allowed, or
-            `data_root` is no folder.
+        InputError: the file cannot be read or holds something that is not
+            allowed, or `data_root` is no folder.
 
     >>> read_study("nowhere.yaml")
     Traceback (most recent call last):
@@ -500,7 +500,7 @@ or directory); check the path
 
 
 class _Solved:
-    """What has the result of a solve."""
+    """Base of classes that hold the result of a solve."""
 
     result: PhaseResult
 
@@ -517,12 +517,12 @@ class _Solved:
 
 @dataclass(frozen=True, eq=False)
 class Calibration(_Solved):
-    """What Phase A or B found; see `calibrate_foot_ground`.
+    """Result of Phase A or B; see `calibrate_foot_ground`.
 
     Attributes:
         phase: "foot-ground" or "interaction".
-        study: the study as it was when it was calibrated.
-        result: what the solve found; `result.problem.program.prog` is Drake's
+        study: copy of the study that was calibrated.
+        result: result of the solve; `result.problem.program.prog` is Drake's
             MathematicalProgram.
 
     >>> from drake_exo.virtual_laboratory import synthetic
@@ -549,24 +549,24 @@ class Calibration(_Solved):
 
     @property
     def contact(self) -> ContactModel:
-        """The contact as far as it is known now.
+        """The contact with all that was calibrated up to this phase.
 
         This and what follows raises SealedSolutionError after a failed solve,
         until `solution.unseal()`.
         """
-        own = self.result.contact.with_values({})  # who changes it may
+        own = self.result.contact.with_values({})  # a copy, free to change
         if self.posterior is None:
             return own
         return replace(own, posterior=self.posterior)
 
     @cached_property
     def _known(self) -> Posterior:
-        """How sure Phase B is of all that it estimates."""
+        """Posterior of all that Phase B estimates."""
         return posterior(self.result)
 
     @property
     def posterior(self) -> Posterior | None:
-        """How sure Phase B is of parameters and errors that trials share."""
+        """Posterior of Phase B's parameters and errors that trials share."""
         if self.phase == "foot-ground":
             return None
         errors = self.result.problem.errors
@@ -575,14 +575,14 @@ class Calibration(_Solved):
 
     @property
     def clocks(self) -> list[Clock]:
-        """Lags of encoders and mats that Phase B found; none of Phase A."""
+        """Lags of encoders and mats that Phase B found; empty for Phase A."""
         if self.phase == "foot-ground":
             return []
         return clocks_of(self.result.problem.trials, self._known)
 
     @cached_property
     def _measured(self) -> list[Trial]:
-        """The trials as measured, encoders on the clocks that were found."""
+        """The measured trials, encoders shifted by the lags found."""
         found = self.clocks if self.success else []
         return [
             retimed(trial, [c for c in found if c.trial == trial.name])
@@ -596,14 +596,14 @@ class Calibration(_Solved):
 
     @property
     def parameters(self) -> list[ContactParameter]:
-        """All of them, their values as nominal."""
+        """The calibrated parameters, with their values as `nominal`."""
         return list(self.result.parameters)
 
     def parameter(self, name: str) -> ContactParameter:
-        """A calibrated parameter, its value as nominal.
+        """A calibrated parameter, with its value as `nominal`.
 
         Raises:
-            InputError: there is none of that name.
+            InputError: no parameter has that name.
         """
         known = {p.name: p for p in self.parameters}
         if name not in known:
@@ -613,18 +613,18 @@ class Calibration(_Solved):
         return known[name]
 
     def uncertainty(self) -> Uncertainty | None:
-        """95 % intervals of free parameters; None where they are unknown.
+        """95 % intervals of the free parameters; None if not available.
 
         `names`, `sd`, `half_width`, `identifiable`: (m,) each, in the units of
-        `contact.units()`.
+        `contact.units()`. See `calibration.uncertainty.uncertainty`.
         """
         f = self.study.filter
         return uncertainty(self.result, f.cutoff_hz, f.order)
 
     def rmsd(self) -> list[dict]:
-        """Differences from what was measured, a dictionary for each trial.
+        """RMS differences from the measured trials, a dictionary for each.
 
-        Its encoders are read on the clock that was found.
+        Encoders are shifted by the lags found. See `audit.rmsd` for the keys.
         """
         return [
             audit.rmsd(found, measured, self.phase != "foot-ground")
@@ -632,7 +632,7 @@ class Calibration(_Solved):
         ]
 
     def audit(self) -> list[Audit]:
-        """Whether each trial holds between its nodes, and simulates."""
+        """Each trial's residuals between its nodes and in a simulation."""
         return list(self._audits)
 
     @cached_property
@@ -642,10 +642,10 @@ class Calibration(_Solved):
     def verdict(
         self, checks: Sequence[Check] = (), accepted: Sequence[str] = ()
     ) -> Verdict:
-        """The checks that the result has to pass.
+        """All checks of the result.
 
         Args:
-            checks: of its input, which come first.
+            checks: checks of its input, which come first.
             accepted: names of checks that need not hold.
         """
         found = self.clocks if self.success else []
@@ -653,10 +653,10 @@ class Calibration(_Solved):
         return Verdict((*checks, *own), tuple(accepted))
 
     def plot(self) -> Figure:
-        """What was calibrated, beside what was measured.
+        """Figure of the calibrated forces, beside the measured ones.
 
-        Of Phase A the ground reaction, of Phase B the cuffs' normal forces;
-        `plot_trials` draws all there is.
+        Phase A: the ground reaction; Phase B: the cuffs' normal forces.
+        `plot_trials` draws all signals.
         """
         from drake_exo.report import figures
 
@@ -668,10 +668,10 @@ class Calibration(_Solved):
         return draw({"model": self.trials}, self._measured)
 
     def summary(self, verdict: Verdict | None = None) -> dict:
-        """What summary.json holds.
+        """Contents of summary.json.
 
         Args:
-            verdict: that of `verdict` if None.
+            verdict: verdict to write; `self.verdict()` if None.
         """
         found = self.result.unsealed()
         summary = phase_summary(
@@ -694,15 +694,15 @@ class Calibration(_Solved):
         return summary
 
     def write(self, folder: str | Path, verdict: Verdict | None = None) -> dict:
-        """Model, contact, trajectories, tables and figures into a folder.
+        """Write model, contact, trajectories, tables and figures.
 
         Args:
-            folder: made if it is not there. What failed or does not hold is
-                written, too, marked everywhere.
-            verdict: that of `verdict` if None.
+            folder: made if it does not exist. A result that failed or does not
+                hold is written as well, and marked in every file.
+            verdict: verdict to write; `self.verdict()` if None.
 
         Returns:
-            What summary.json holds.
+            Contents of summary.json.
         """
         from drake_exo.report import figures
 
@@ -711,7 +711,7 @@ class Calibration(_Solved):
         verdict = verdict or self.verdict()
         summary, mark = self.summary(verdict), verdict.mark
         model, trials = found.problem.model, found.problem.trials
-        # On the clocks that were found, as they are compared with.
+        # Encoders shifted, as they are compared with the solution.
         write_inputs(folder, model, self._measured)
         write_contact(
             folder,
@@ -742,8 +742,8 @@ class Prediction(_Solved, Trial):
     `solution.unseal()`.
 
     Attributes:
-        result: what the solve found.
-        clocks: lags of the trial's encoders and mats that it was made with.
+        result: result of the solve.
+        clocks: lags of the trial's encoders and mats that were used.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
@@ -757,7 +757,7 @@ class Prediction(_Solved, Trial):
     clocks: tuple[Clock, ...] = ()
 
     def __post_init__(self):
-        """The trial that this is made of has been checked."""
+        """No checks: the trial of which this is made has been checked."""
 
     def __repr__(self) -> str:
         return f"Prediction({self.name!r}, {self.solution.status!r})"
@@ -773,61 +773,61 @@ class Prediction(_Solved, Trial):
         return Trial(**own).sample(times)
 
     def rmsd(self, measured: Trial) -> dict:
-        """Differences from the trial as measured; see `audit.rmsd`.
+        """RMS differences from the measured trial; see `audit.rmsd`.
 
-        Its encoders are read on the clock that was found.
+        Its encoders are shifted by the lag found.
         """
         return audit.rmsd(self, self.timed(measured))
 
     def timed(self, measured: Trial) -> Trial:
-        """The trial as measured, its encoders on the clock that was found."""
+        """The measured trial, its encoders shifted by the lag found."""
         check_type(measured, Trial, "measured")
         own = [c for c in self.clocks if c.trial == measured.name]
         is_timed = "encoders" in measured.lags_s
         return retimed(measured, own) if is_timed else measured
 
     def audit(self) -> Audit:
-        """Whether it holds between its nodes, and simulates."""
+        """Residuals between its nodes and in a simulation."""
         return audit_all(self.result)[0]
 
     def bands(self) -> Bands | None:
-        """Bands of 95 %; None where no calibration says how sure it is."""
+        """Bands of 95 %; None if the contact has no posterior."""
         self.solution.check()
-        return deepcopy(self._bands)  # who changes it may
+        return deepcopy(self._bands)  # free to change
 
     @cached_property
     def _bands(self) -> Bands | None:
         return bands(self.result)
 
     def write(self, folder: str | Path, verdict: Verdict | None = None) -> None:
-        """The trial as predicted and as measured, and bands, into a folder.
+        """Write the trial as predicted and as measured, and bands.
 
-        `read_trial` reads them, OpenSim the tables (docs/results.md).
+        `read_trial` reads the trials, OpenSim the tables (docs/results.md).
 
         Args:
-            folder: made if it is not there.
-            verdict: whose mark tables bear; that of the solve and its audit if
-                None.
+            folder: made if it does not exist.
+            verdict: verdict that marks the tables; if None, that of the solve
+                and its audit.
         """
         folder, band = path_of(folder, "folder"), self.bands()
         if verdict is None:
             verdict = Verdict(tuple(phase_checks(self.result, [self.audit()])))
         folder.mkdir(parents=True, exist_ok=True)
         write_trial(folder, self, verdict.mark)
-        # On the clock that was found, as it is compared with.
+        # Encoders shifted, as it is compared with the prediction.
         (measured,) = self.result.problem.trials
         measured.save(folder / f"measured_{self.name}")
         if band is not None:
             write_bands(folder, self, band, verdict.mark)
 
     def plot(self, measured: Trial | None = None) -> Figure:
-        """Angles, velocities, forces of cuffs and ground beside the measured.
+        """Figure of angles, velocities and forces, beside the measured ones.
 
-        Cuffs' forces have their bands of 95 % where a calibration knows them.
+        The cuffs' forces have bands of 95 % if the contact has a posterior.
 
         Args:
-            measured: the trial to compare with, see `timed`; by default the
-                one predicted.
+            measured: trial to compare with, see `timed`; by default the one
+                that was predicted.
         """
         from drake_exo.report import figures
 
@@ -836,7 +836,7 @@ class Prediction(_Solved, Trial):
         return figures.overview_figure(self, beside, self.bands())
 
     def view(self, meshcat: Meshcat) -> None:
-        """Show it as an animation with its ground reaction in meshcat."""
+        """Animate the movement with its ground reaction in meshcat."""
         check_type(meshcat, Meshcat, "meshcat")
         from drake_exo.report.replay import show_trial
 
@@ -851,7 +851,7 @@ def _check_use(use: Use | None) -> None:
 
 
 def _named(trials) -> str:
-    """How many, and which."""
+    """Number and names of trials, as text."""
     count = f"{len(trials)} trial{'s' * (len(trials) != 1)}"
     return f"{count}: {', '.join(t.name for t in trials)}"
 
@@ -863,20 +863,20 @@ def calibrate_foot_ground(
     folder: Path | None = None,
     resume: bool = False,
 ) -> Calibration:
-    """Phase A: the contact of foot and ground, from several trials at once.
+    """Phase A: calibrate the contact of foot and ground, on several trials.
 
-    If the study's feet wear a sole, this contact is known: movement and forces
-    that agree with it are found, but no parameter.
+    If the study's feet wear a sole, their contact is known: no parameter is
+    calibrated, but movement and forces that agree with it are found.
 
     Args:
-        study: says the settings.
-        trials: to calibrate with; those for calibration by default.
+        study: model and settings.
+        trials: trials to calibrate on; the study's "calibration" by default.
         folder: keeps the newest iterate (checkpoint.npz) until results are
             written there.
-        resume: start from the iterate found there.
+        resume: start from that iterate, if there is one.
 
     Raises:
-        InputError: trials or settings are not as they should be.
+        InputError: trials or settings are faulty.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> model, trials = synthetic.rises_on_spheres(1, nodes_per_second=40)
@@ -911,16 +911,17 @@ def calibrate_interaction(
     folder: Path | None = None,
     resume: bool = False,
 ) -> Calibration:
-    """Phase B: the contact of human and exoskeleton.
+    """Phase B: calibrate the cuffs between human and exoskeleton.
 
     Args:
-        study: says the settings.
-        trials: to calibrate with; those for calibration by default.
-        contact: of foot and ground; calibrated first if None.
-        folder, resume: as `calibrate_foot_ground`.
+        study: model and settings.
+        trials: trials to calibrate on; the study's "calibration" by default.
+        contact: contact of foot and ground; calibrated first if None.
+        folder, resume: see `calibrate_foot_ground`.
 
     Raises:
-        InputError: the model has no exoskeleton; or likewise.
+        InputError: the model has no cuffs, nothing of the device was measured,
+            or trials or settings are faulty.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
@@ -952,20 +953,20 @@ def calibrate_interaction(
 def find_clocks(
     study: Study, trials: Sequence[Trial], contact: Calibration | ContactModel
 ) -> list[Clock]:
-    """Lags of encoders and mats of trials, on cuffs that are calibrated.
+    """Lags of encoders and mats in trials, with calibrated cuffs.
 
-    Each trial is solved as Phase B does it, the cuffs being known: what its
-    instruments show has to agree with its forces and its movement.
+    Each trial is solved as in Phase B, with the calibration as prior of the
+    cuffs: readings have to agree with forces and movement.
 
     Args:
-        study: says the settings, which are those of Phase B.
-        trials: of the device that was calibrated; of those that are not
-            recorded with encoders nothing is told.
+        study: model and settings (those of Phase B are used).
+        trials: recorded with the calibrated device; those without encoders are
+            skipped.
         contact: calibrated.
 
     Returns:
-        None of trials where that cannot be solved, and none where the contact
-        does not say how sure it is.
+        Clocks of all trials that could be solved; empty if the contact has no
+        posterior.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
@@ -984,10 +985,10 @@ def find_clocks(
 def _timing(
     study: Study, trial: Trial, contact: ContactModel
 ) -> tuple[PhaseResult | None, list[Clock]]:
-    """The trial with cuffs that are known, and its clocks.
+    """Solve a trial with calibrated cuffs, for its clocks; see `find_clocks`.
 
-    No result where that tells nothing, no clocks where it is not solved. They
-    need no grid as fine as forces do.
+    The result is None if clocks cannot be found, the list empty if the solve
+    failed. Half as fine a grid suffices for lags.
     """
     timed = "encoders" in trial.lags_s and has_encoders(trial)
     if contact.posterior is None or not timed:
@@ -996,7 +997,7 @@ def _timing(
     half = replace(solver, nodes_per_second=0.5 * solver.nodes_per_second)
     settings = replace(study.interaction, solver=half)
     result = None
-    for _ in range(2):  # signals shift to first order
+    for _ in range(2):  # again, since signals are shifted to first order only
         problem = Timing(study.model, [trial], contact, settings)
         watch = SolveWatch(f"time {trial.name}")
         result = problem.solve(on_iterate=watch, near=result)
@@ -1020,28 +1021,27 @@ def predict(
     near: Prediction | None = None,
     clocks: Sequence[Clock] | None = None,
 ) -> Prediction:
-    """Phase C: a movement and its interaction forces from its end states.
+    """Phase C: predict a movement and its interaction forces.
 
     Args:
-        study: says the settings.
-        trial: whose ends are given; it is compared with, not tracked.
-        contact: calibrated, of foot and ground and of the cuffs; of the cuffs
-            alone where the study's feet wear a sole.
-        settings: instead of the study's.
+        study: model and settings.
+        trial: gives the end states; compared with, its motion not tracked.
+        contact: calibrated for foot and ground and for the cuffs; the latter
+            are enough if the study's feet wear a sole.
+        settings: settings to use instead of the study's.
         scale_interaction: factor on the cuffs' stiffness and damping; 1.4 is
             Phase C2.
         controller: a stateless LeafSystem that gives the exoskeleton's
-            torques; without it they are as measured, except that springs across
-            its joints (`device` of the study) follow the movement.
-        folder, resume: as `calibrate_foot_ground`.
-        near: a prediction of the same trial with another contact, to start
-            from; by default the settings say where to start.
-        clocks: lags of instruments, the trial's among them; by default those
-            of `find_clocks`.
+            torques; by default they are as measured, with springs across its
+            joints (study's `device`) following the predicted movement.
+        folder, resume: see `calibrate_foot_ground`.
+        near: prediction of the same trial with another contact, from which to
+            start; by default the start is that of the settings.
+        clocks: the trial's, among others; found by `find_clocks` by default.
 
     Raises:
-        InputError: the contact knows nothing of the model's cuffs; or
-            likewise.
+        InputError: the contact lacks the model's cuffs, or trial, settings or
+            controller are faulty.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
@@ -1107,16 +1107,16 @@ def _prediction(
 def uncalibrated(
     model: Model, contact: Calibration | ContactModel
 ) -> ContactModel:
-    """The same foot-ground contact with nominal cuffs: what to compare with."""
+    """The same foot-ground contact with nominal cuffs, for comparison."""
     nominal = nominal_contact(model).bushings
     return replace(contact_of(contact), bushings=nominal, posterior=None)
 
 
 def contact_of(contact: Calibration | ContactModel) -> ContactModel:
-    """The contact itself, of a calibration or as it is.
+    """The contact of a calibration; a contact is returned as it is.
 
     Raises:
-        InputError: it is neither.
+        InputError: `contact` is neither.
     """
     if isinstance(contact, Calibration):
         return contact.contact
@@ -1143,7 +1143,7 @@ def audit_all(result: PhaseResult) -> list[Audit]:
 
 
 def write_inputs(folder: Path, model: Model, trials: Sequence[Trial]) -> None:
-    """Model and measured trials, beside the results that come of them."""
+    """Write model and measured trials into the folder of the results."""
     write_model(folder, model)
     for trial in trials:
         trial.save(folder / f"measured_{trial.name}")
