@@ -295,7 +295,7 @@ class Study:
     def gate(
         self, use: Use | None = None, accepted: Sequence[str] = ()
     ) -> tuple[Check, ...]:
-        """The checks of `plausibility`; raises if any of them fails.
+        """The checks of `plausibility`; raises if one is not passed.
 
         Args:
             use: use of the trials to check; all by default.

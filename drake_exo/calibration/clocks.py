@@ -177,7 +177,7 @@ class Timing(InteractionCalibration):
         settings: InteractionSettings,
     ):
         values = contact.values()
-        # A single trial may not slip at all.
+        # Slip stays as calibrated: a single trial may not slip at all.
         free = [
             p
             for p in settings.parameters(model.cuffs)

@@ -326,8 +326,8 @@ class PhaseProblem(Compiles, ABC):
 
         With a device they are estimated, like the errors of measurement. Given
         exactly, they would throw the foot into a motion that dies out within
-        milliseconds, which no grid follows. For a human alone the joints' are
-        given: real rises are predicted better so (hip 1.5 for 4.5 degrees).
+        milliseconds, which no grid follows. For a human alone joints are given
+        exactly: real rises are predicted better so (hip 1.5, not 4.5 degrees).
         """
         grid, joints = movement.grid, movement.coordinates.joint_columns
         reach = rate = self._end_reach

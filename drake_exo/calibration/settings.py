@@ -1,4 +1,4 @@
-"""Settings of a study, as they stand in its file."""
+"""Settings of all phases; each class is a group of keys of a study file."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -141,7 +141,7 @@ class SphereSettings:
 
     def __post_init__(self):
         _check_not_negative(self)
-        # Softer, a person sinks in to the knees; smaller, it is no sphere.
+        # A person would sink into anything softer; smaller is no sphere.
         for name, least, unit in (
             ("modulus_n_m2", 1e4, "N/m^2"),
             ("radius_m", 1e-3, "m"),
@@ -262,7 +262,7 @@ class Solver:
     max_iterations: int = quantity(None, 300, minimum=1)
 
     def options(self) -> SolverOptions:
-        """Options of the bridge to IPOPT."""
+        """These settings as options of the bridge to IPOPT."""
         return SolverOptions(
             tolerance=self.tolerance, max_iterations=self.max_iterations
         )
@@ -323,7 +323,7 @@ class FootGroundSettings:
 
     @property
     def front_factors(self) -> list[float]:
-        """Those of the Pareto front, with what is calibrated itself."""
+        """Sorted factors of the Pareto front, 1 (the calibration) included."""
         return sorted({1.0, *self.front})
 
     @property
@@ -350,7 +350,7 @@ class FootGroundSettings:
         return law(**self.constants)
 
     def of(self, sphere: str) -> SphereSettings:
-        """Of one sphere by name; those of `heel` are `heel_left`'s, too."""
+        """Settings of one sphere by name; `heel` also gives `heel_left`."""
         own = {"heel": self.heel, "toe": self.toe} | self.spheres
         usual = own.get(without_side(sphere), SphereSettings())
         return own.get(sphere, usual)
@@ -374,7 +374,7 @@ class FootGroundSettings:
         return [replace(p, prior_sd=width * p.span) for p in found]
 
     def contact(self, places: dict[str, tuple[float, float]]) -> ContactModel:
-        """Contact with nominal values; arguments as above."""
+        """Contact with nominal values; `places` as for `parameters`."""
         spheres = {
             name: ContactSphere(**values)
             for name, values in _by_group(self.parameters(places)).items()
@@ -384,18 +384,18 @@ class FootGroundSettings:
         )
 
 
-# Spheres with keys of their own, as CUFFED cuffs.
+# Spheres that have keys of their own, like the cuffs in CUFFED.
 _SPHERES = ("heel", "toe")
 
 
 def own_keys(settings) -> list[str]:
-    """Usual spheres or cuffs of which something is said by their own key."""
+    """Spheres or cuffs whose own key is set to anything but its default."""
     return _given(settings, (*_SPHERES, *CUFFED))
 
 
 def _given(settings, keys: Sequence[str]) -> list[str]:
-    """Which of some keys, as far as there are, say what is not usual."""
-    # What is empty by default is no attribute of a dataclass.
+    """Those of some keys that exist and are not at their defaults."""
+    # A field with a default_factory is no attribute of the class.
     usual = type(settings)
     return [
         k for k in keys if getattr(settings, k, {}) != getattr(usual, k, {})
@@ -403,7 +403,7 @@ def _given(settings, keys: Sequence[str]) -> list[str]:
 
 
 def _check_once(settings, group: str) -> None:
-    """Refuse a name that has its own key in a group of names, too."""
+    """Refuse a name that is given by its own key and in a group as well."""
     for name in own_keys(settings):
         if name in getattr(settings, group):
             raise InputError(
@@ -422,7 +422,7 @@ def _by_group(parameters) -> dict[str, dict[str, float]]:
 
 
 def _placed(name, spread, model, prior_sd=None):
-    """A place given about the model's own."""
+    """Parameter of a place, given relative to the model's own (`model`)."""
     return ContactParameter(
         name,
         "m",
@@ -498,7 +498,7 @@ class BushingSettings:
 
     @property
     def damping(self) -> dict[str, float]:
-        """By the names of `BushingParameters`."""
+        """Damping by the names of `BushingParameters`."""
         return {
             f.name: getattr(self, f.name)
             for f in fields(self)
@@ -568,7 +568,7 @@ class InteractionSettings:
         _check_once(self, "cuffs")
 
     def of(self, cuff: str) -> BushingSettings:
-        """Of one cuff by name; those of `thigh` are `thigh_left`'s, too."""
+        """Settings of one cuff by name; `thigh` also gives `thigh_left`."""
         own = {name: getattr(self, name) for name in CUFFED} | self.cuffs
         usual = own.get(without_side(cuff), BushingSettings())
         return own.get(cuff, usual)
@@ -576,7 +576,7 @@ class InteractionSettings:
     def parameters(
         self, places: dict[str, tuple[float, float]]
     ) -> list[ContactParameter]:
-        """Parameters of the bushings, six each, in kernel order.
+        """Parameters of the bushings, six each, in the kernel's order.
 
         Args:
             places: cuff -> the model's place (x, z) in the human segment [m].
@@ -588,7 +588,7 @@ class InteractionSettings:
         ]
 
     def _bushing(self, name, settings, place) -> list[ContactParameter]:
-        """Of one cuff, in the order of `bushing.CALIBRATED`."""
+        """Parameters of one cuff, in the order of `bushing.CALIBRATED`."""
         width = self.prior_weight**-0.5 if self.prior_weight else None
         factor = width and width * log(self.stiffness_factor)
         origin = width and width * self.origin_sd_m
@@ -627,7 +627,7 @@ class InteractionSettings:
     def bushings(
         self, places: dict[str, tuple[float, float]]
     ) -> dict[str, BushingParameters]:
-        """Bushings with nominal values by cuff; arguments as above."""
+        """Cuff -> bushing with nominal values; see `parameters`."""
         return {
             name: BushingParameters(**values, **self.of(name).damping)
             for name, values in _by_group(self.parameters(places)).items()
@@ -760,7 +760,7 @@ class GainFreedom:
 
 
 def _check_today(freedom, names) -> None:
-    """Refuse bounds that leave out what is today."""
+    """Refuse bounds that exclude today's value."""
     for what in names:
         lower, upper = getattr(freedom, what)
         today = 1.0 if what == "area" else 0.0
@@ -833,10 +833,10 @@ class DesignLimits:
     def of_forces(
         self, today: Sequence[float]
     ) -> Iterator[tuple[int, str, float]]:
-        """Limits on a cuff's force: component, limit's name and value.
+        """Yield component, name and value of each limit on a cuff's force.
 
         Args:
-            today: largest components (3,) [N, N, N m].
+            today: largest components (3,) today [N, N, N m].
         """
         for k, name, size in (
             (NORMAL, "normal_n", 1.0),
@@ -876,7 +876,7 @@ class Population:
             raise InputError("a percentile is given twice; give each once")
 
     def bodies(self) -> list[tuple[str, float, float]]:
-        """Of each percentile: name, height [m] and mass [kg]."""
+        """Name, height [m] and mass [kg] of each percentile's body."""
         found = []
         for percentile in self.percentiles:
             off = float(ndtri(percentile / 100.0))

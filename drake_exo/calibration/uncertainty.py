@@ -75,7 +75,7 @@ class Uncertainty:
     law: np.ndarray | float = 0.0
 
     def __repr__(self) -> str:
-        # Not the arrays: a notebook shows what its last line is.
+        # Without the arrays: a notebook prints this for its last line.
         widths = zip(self.names, self.half_width, strict=True)
         told = (f"{name} ± {width:.3g}" for name, width in widths)
         return f"Uncertainty({', '.join(told)})"
@@ -128,14 +128,14 @@ def uncertainty(
     found = Response(
         unit[:, None] * found.by_gradient, unit[:, None] * found.by_bounds
     )
-    # By changes of the gradient with respect to program variables.
+    # Response (m, num_vars) to changes of the gradient by program variables.
     by_x = found.by_gradient @ program.unknowns.matrix.T
     covariance = np.zeros((len(free), len(free)))
     for movement in problem.movements:
         for part in _noise(movement, result, found, by_x, cutoff_hz, order):
             covariance += part @ part.T
     if problem.error_variables is not None:
-        # Their prior is one more measurement, too.
+        # The errors' prior counts as a measurement, too.
         _, errors = problem.errors.prior()
         index_of_errors = problem.program.indices(problem.error_variables)
         by_errors = by_x[:, index_of_errors]
@@ -410,7 +410,7 @@ def _by_parameters(result: PhaseResult, trial, body: str) -> np.ndarray:
     problem, names = result.problem, [p.name for p in result.parameters]
     x = problem.law_inputs(result.contact, body, trial.q, trial.v)
     own = WRENCH_UNITS[:, None] * problem.kernels[body].jacobian(x, None)
-    # Moments about the body, moved to the wrench's point of reference.
+    # The kernel's moment is about the body; here about the laboratory origin.
     own[:, 2] += x[:, [1]] * own[:, 0] - x[:, [0]] * own[:, 1]
     J = np.zeros((len(trial.times), 3, len(names)))
     columns = [
@@ -566,7 +566,7 @@ class Bands:
     off_mats: dict[str, np.ndarray]
 
     def __repr__(self) -> str:
-        # Not the arrays: a notebook shows what its last line is.
+        # Without the arrays: a notebook prints this for its last line.
         told = (f"{c} ± {self.normal(c).mean():.1f} N" for c in self.cuffs)
         return f"Bands({len(self.q)} samples; {', '.join(told)})"
 

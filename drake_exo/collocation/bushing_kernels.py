@@ -310,7 +310,7 @@ class DesignDynamicsKernel(DynamicsKernel):
         return J
 
     def curvature(self, x, weights, data):
-        """sum_i weights_i d2 f_i/dx2 without that of inverse dynamics."""
+        """sum_i weights_i d2 f_i/dx2 of cuffs and moved weights alone."""
         nq = self.num_positions
         q, w = x[:, :nq], weights / FORCE_UNIT
         H = np.zeros((len(x), x.shape[1], x.shape[1]))

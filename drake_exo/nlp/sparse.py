@@ -327,7 +327,7 @@ class SparseProgram:
         return H
 
     def gauss_newton(self, y: np.ndarray) -> np.ndarray:
-        """Nonzeros of the cost's Hessian, without what exact_hessian adds."""
+        """The cost's part of `hessian`, as if without exact_hessian."""
         return self._curved(y, 1.0, self._cost_weights(y, 1.0, exact=False))
 
     def _curved(self, y, factor, weights):
