@@ -559,8 +559,8 @@ class _Wearing(PhaseProblem):
     def work(self, trials: Sequence[Trial]) -> float:
         """Work of the device's torques along its movements of today [J].
 
-        Softer cuffs let the device move further, which is no support: the
-        device that is built does not. Hence its movement of today is used.
+        Softer cuffs let the device move further in the solution, but not as
+        built, so this would be no support: today's movement is used.
 
         Args:
             trials: solved, in the order of the wearer's.

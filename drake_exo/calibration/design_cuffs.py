@@ -133,7 +133,7 @@ def fewer(
     Each removable cuff is left out in turn and all else designed again under
     all limits. The best of these designs replaces the present one if the norm
     of the forces in its forecast is less, and the removal is repeated. Costs
-    are not compared: differences of 0.02 degrees between a movement and the
+    are not compared: fractions of 0.02 degrees by which a movement is off the
     person's own would decide.
 
     Args:

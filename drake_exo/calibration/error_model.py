@@ -22,7 +22,7 @@ from drake_exo.measurement.trial import Trial
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.plant import Model
 
-_DIFFERENCE = 1e-4  # of an unknown, relative to 1 rad/rad
+_DIFFERENCE = 1e-4  # step of an unknown for differences [rad/rad]
 # System of a trial -> name of its clock among the unknowns.
 CLOCKS = {"encoders": "encoder_clock", "pressure": "mat_clock"}
 

@@ -194,7 +194,7 @@ class PhaseProblem(Compiles, ABC):
             values of `parameters` replace its own.
         parameters: those of the contact that are calibrated.
         settings: of the phase, with solver and noise.
-        errors: prior sizes of unknown errors of measurement; None: no such.
+        errors: standard deviations of unknown errors' priors; None: no errors.
         known: posterior of a calibration with such errors.
         refined: trial -> number of parts into which each interval of the
             settings' grid is split, or one number for all; in these trials

@@ -211,7 +211,7 @@ def write_contact(
     Args:
         folder: folder of the results.
         contact: calibrated or not.
-        origin: the calibration's; `read_contact` refuses a contact without.
+        origin: the calibration's; `read_contact` refuses one without it.
     """
     bushings = contact.bushings.items()
     stored = {

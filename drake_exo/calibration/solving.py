@@ -177,7 +177,7 @@ def split(parts: np.ndarray, missed: np.ndarray) -> np.ndarray:
     Args:
         parts: (m,) present number of parts of each interval.
         missed: (parts.sum(),) residual in each part, in units of the tolerance.
-            Above one half, an interval is halved, above one quartered.
+            An interval's number doubles above one half, quadruples above one.
     """
     starts = np.r_[0, np.cumsum(parts)[:-1]]
     worst = np.maximum.reduceat(missed, starts)

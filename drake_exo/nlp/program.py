@@ -526,7 +526,7 @@ class Unknowns:
         lower, upper: (ny,) bounds on y.
         x_lower, x_upper: (n,) bounds on x.
         scale: (n,) typical size of each program variable.
-        substituted: indices of the variables that are not direct.
+        substituted: indices of the program variables that are substituted.
     """
 
     def __init__(

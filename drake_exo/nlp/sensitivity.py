@@ -18,7 +18,7 @@ from drake_exo.nlp.sparse import SparseProgram
 _ACTIVE = 1e-5
 # Added to the diagonal: active bounds may repeat an equation.
 _REGULAR = 1e-9
-_DIFFERENCE = 1e-5  # of a fixed variable's typical size
+_DIFFERENCE = 1e-5  # step, as a share of a fixed variable's typical size
 
 
 @dataclass(frozen=True)
