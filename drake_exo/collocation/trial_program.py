@@ -203,7 +203,7 @@ class TrialProgram:
         Args:
             body: the body that touches the ground.
             kernel: the law.
-            parameters: decision variables of the spheres, in kernel's order.
+            parameters: decision variables of the spheres, in its order.
         """
         variables = np.hstack(
             [self.poses[body], self.grounds[body], self.at_nodes(parameters)]
