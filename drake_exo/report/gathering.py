@@ -299,7 +299,7 @@ class Comparison:
 
         Includes the contact that predictions use; if all are of one subject,
         the model and the common trials' windows; and the filter of the first
-        of these trials.
+        of these trials, and the lag that was taken out of its forces.
         """
         found = []
         for r in self.results:
@@ -318,6 +318,7 @@ class Comparison:
                     for t in measured
                 }
             asked["filter"] = measured[0].provenance.get("filter")
+            asked["lag_of_forces_s"] = measured[0].lags_s.get("forces")
             found.append(dict(_leaves(asked, "")))
         rows = {}
         for key in dict.fromkeys(key for asked in found for key in asked):

@@ -116,7 +116,14 @@ def test_damaged_parameters_are_one_sentence(tmp_path, trials, row):
 
 def test_model_contact_and_filter_count_among_settings(tmp_path, trials):
     filtered = [
-        replace(t, provenance={"filter": {"cutoff_hz": 8.0}}) for t in trials
+        replace(
+            t,
+            provenance={
+                "filter": {"cutoff_hz": 8.0},
+                "delays_s": {"forces": 0.011},
+            },
+        )
+        for t in trials
     ]
     name = "thigh.normal_stiffness"
     stiff = CONTACT.with_values({name: 6000.0})
@@ -127,6 +134,7 @@ def test_model_contact_and_filter_count_among_settings(tmp_path, trials):
         f"contact.{name}": ["5000", "6000"],
         "model.gravity_m_s2": ["9.81", "1.62"],
         "filter.cutoff_hz": ["-", "8"],
+        "lag_of_forces_s": ["-", "0.011"],
     }
     assert compare([first, other]).settings() == expected
     # Two people differ in all of a model.
