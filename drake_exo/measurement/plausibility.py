@@ -358,7 +358,10 @@ class Evidence:
                 for s in (side, other)
             )
             nearer.append(np.median(far - own) if len(y) else np.nan)
-        return float(np.nanmean(nearer)) if np.isfinite(nearer).any() else 0.0
+        if not np.isfinite(nearer).any():
+            return 0.0
+        # Beside both feet the two cancel; rounding must not decide the sign.
+        return round(float(np.nanmean(nearer)), 6)
 
     @property
     def feet_apart_m(self) -> float:
@@ -405,8 +408,7 @@ def likely_cause(e: Evidence) -> str | None:
     """Mistake that would explain CoPs beside their feet; None if they fit."""
     if _fits(e):
         return None
-    knees = [a[e.inside, 1].min() for a in e.recording.motion.legs.values()]
-    if np.rad2deg(min(knees)) < -20.0:
+    if _knees_bend_backwards(e):
         return "laboratory.marker_axes look turned round"
     for unit, scale in _LENGTHS.items():
         if _fits(e, scale=scale):
@@ -422,6 +424,11 @@ def likely_cause(e: Evidence) -> str | None:
         "check plates, laboratory.force_axes and that markers and plates "
         "share one origin"
     )
+
+
+def _knees_bend_backwards(e: Evidence) -> bool:
+    knees = [a[e.inside, 1].min() for a in e.recording.motion.legs.values()]
+    return np.rad2deg(min(knees)) < -20.0
 
 
 def _fits(e: Evidence, **changed) -> bool:
@@ -475,11 +482,16 @@ def _pressure(e: Evidence, foot: str) -> Iterator[Check]:
 def _foot_sides(e: Evidence) -> Check:
     """Whether the left foot is left of the right one."""
     apart = e.feet_apart_m
+    cause = (
+        "laboratory.marker_axes look turned round"
+        if _knees_bend_backwards(e)
+        else "the names of left and right markers look exchanged"
+    )
     return e.check(
         "foot_sides",
         apart,
         f"markers of the left foot lie {-apart:.2f} m right of the other's; "
-        "the names of left and right markers look exchanged",
+        f"{cause}",
     )
 
 
@@ -606,10 +618,10 @@ def standing_checks(
             "standing_balance",
             abs(gap),
             "standing",
-            f"{standing.forces}: the centre of pressure is {gap:.2f} m in "
-            "front of the centre of mass in standing; laboratory.force_axes "
-            "or marker_axes may be turned round, or plates and markers have "
-            "another origin",
+            f"{standing.forces}: the centre of pressure is {abs(gap):.2f} m "
+            f"{'in front of' if gap > 0.0 else 'behind'} the centre of mass "
+            "in standing; laboratory.force_axes or marker_axes may be turned "
+            "round, or plates and markers have another origin",
         )
 
 

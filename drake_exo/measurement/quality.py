@@ -293,8 +293,9 @@ def text_of(quality: Quality) -> str:
             f"gaps filled in {t.filled_frames} marker frames"
             + (f" ({100 * t.gaps:.2g} %)" if t.filled_frames else ""),
             f"  Newton's law misses: F_x {t.residual_n[0]:.1f} N, "
-            f"F_z {t.residual_n[1]:.1f} N, moment {t.residual_nm:.1f} N m",
-            "  clocks: "
+            f"F_z {t.residual_n[1]:.1f} N, moment {t.residual_nm:.1f} N m "
+            "(RMS)",
+            "  lag taken out: "
             + ", ".join(
                 f"{name} {1e3 * d:+.0f} ms" for name, d in t.delays_s.items()
             ),

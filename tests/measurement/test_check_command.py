@@ -44,7 +44,7 @@ def test_prints_and_writes_the_report(folder, capsys):
         "markers: ",
         "gaps filled in 0 marker frames",
         "Newton's law misses: F_x",
-        "clocks: forces +0 ms, encoders +0 ms",
+        "lag taken out: forces +0 ms, encoders +0 ms",
         "exoskeleton: device model",
         "chair: plate",
     ):

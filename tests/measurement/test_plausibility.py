@@ -116,6 +116,8 @@ def test_markers_turned_round_bend_the_knees_backwards(folder, name):
     text = said(folder, "knee_range")
     assert "sts.trc" in text and "bends backwards" in text
     assert "marker_axes look turned round" in text
+    # Left and right are exchanged by the same turn, not by names.
+    assert "marker_axes look turned round" in said(folder, "foot_sides")
 
 
 def test_plates_turned_round(folder):
