@@ -427,6 +427,7 @@ def likely_cause(e: Evidence) -> str | None:
 
 
 def _knees_bend_backwards(e: Evidence) -> bool:
+    """Whether a knee is overextended by more than 20 degrees."""
     knees = [a[e.inside, 1].min() for a in e.recording.motion.legs.values()]
     return np.rad2deg(min(knees)) < -20.0
 

@@ -649,11 +649,17 @@ def test_names_of_left_and_right_exchanged():
         side: np.full((200, 2, 3), y)
         for side, y in (("left", -0.1), ("right", 0.09))
     }
-    check = plausibility._foot_sides(made(feet=feet))
-    assert told(check, "foot_sides") == [(-0.19, 0.0, False)]
-    assert "0.19 m right of the other's" in check.sentence
+    for knee, cause in (
+        (0.5, "names of left and right markers"),
+        (-0.5, "marker_axes look turned round"),
+    ):
+        legs = {"left": np.full((200, 3), knee)}
+        check = plausibility._foot_sides(made(feet=feet, legs=legs))
+        assert told(check, "foot_sides") == [(-0.19, 0.0, False)]
+        assert "0.19 m right of the other's" in check.sentence
+        assert cause in check.sentence
     feet = {"left": feet["right"], "right": feet["left"]}
-    check = plausibility._foot_sides(made(feet=feet))
+    check = plausibility._foot_sides(made(feet=feet, legs=legs))
     assert told(check, "foot_sides") == [(0.19, 0.0, True)]
 
 
