@@ -215,7 +215,7 @@ def _simulate(args) -> int:
     name = case.name
     print(
         f"{name}: c_tr {step.c_tr:.4g} N/m, c_rot {step.c_rot:.4g} N·m/rad, "
-        f"c {step.c:.4g}, {len(step.times)} steps"
+        f"c {step.c:.4g}, {len(step.times)} samples"
     )
     print(verdict.text())
     print(f"{name}: results in {args.out}")
@@ -362,7 +362,7 @@ def _reduce(args) -> int:
         f"{args.spheres} spheres in {where}: force "
         f"{100 * found.force_error:.1f} % of the largest, centre of "
         f"pressure {1e3 * found.cop_error:.1f} mm where loaded (RMS)"
-        f"{'' if found.is_near else ', too far: take more spheres'}; "
+        f"{'' if found.is_near else ', too far: try more spheres'}; "
         f"{args.out}, every sample in {rows}"
     )
     return 0 if found.is_near else 1

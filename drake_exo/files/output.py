@@ -720,6 +720,8 @@ def _draw_mark(figure: Figure, mark: str) -> None:
         weight="bold",
         **style,
     )
+    for legend in figure.legends:  # else a tight box takes it along, onto it
+        legend.set_bbox_to_anchor((0, 0, 1, 1), figure.transFigure)
     lines = textwrap.wrap(mark, int(12 * width))
     figure.text(0.5, -0.02, "\n".join(lines), va="top", fontsize=9, **style)
 

@@ -22,6 +22,7 @@ from drake_exo.soles.contact.newton import Target
 from drake_exo.soles.numerics import rotation_z
 
 _PAUSE_S = 0.2  # between loads that are joined
+_FAR_M = 10.0  # off the sole: no laboratory's ZMP in metres
 MOST_SAMPLES = 100_000  # of a load; each is a system to solve
 # Shape of a sample's part of each array.
 _SHAPES = {
@@ -361,16 +362,21 @@ class Load:
             x, y = self.zmp[q]
             spans = (self.zmp, places)
             off = np.subtract(*(s.min(axis=0) + s.max(axis=0) for s in spans))
+            front = "in front" if off[0] >= 0 else "behind"
+            left = "left" if off[1] >= 0 else "right"
+            unit = ""
+            if distance[outside].max() > _FAR_M:
+                unit = "; the ZMP is in m, not mm"
             raise InputError(
                 f"{self.name}: the ZMP is outside the sole by "
                 f"{1e3 * distance[q]:.1f} mm at {self.times[q]:g} s (x {x:.4f} "
                 f"m, y {y:.4f} m in the load's frame, {outside.sum()} of "
-                f"{len(outside)} samples); the middle of its path lies "
-                f"{500 * off[0]:.0f} mm in front and {500 * off[1]:.0f} mm to "
-                "the left of the sole's: move the load (origin_m and yaw_rad; "
-                "in a recording shift_m) or the block start, take a larger "
-                "sole, or leave these samples out (least_force_n, from, to; in "
-                "a pattern least_share)"
+                f"{len(outside)} samples{unit}); the middle of its path lies "
+                f"{abs(500 * off[0]):.0f} mm {front} and "
+                f"{abs(500 * off[1]):.0f} mm to the {left} of the sole's: move "
+                "the load (origin_m and yaw_rad; in a recording shift_m) or "
+                "the block start, take a larger sole, or leave these samples "
+                "out (least_force_n, from, to; in a pattern least_share)"
             )
 
 

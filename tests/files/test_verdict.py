@@ -5,6 +5,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from matplotlib.legend import Legend
 
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
@@ -146,6 +147,24 @@ def test_a_mark_lies_across_a_figure_from_corner_to_corner(tmp_path, size):
     assert " ".join(under.get_text().split()) == mark.strip()
     box = under.get_window_extent(drawn)
     assert box.y1 <= 0.0 and box.width < 1.4 * figure.bbox.width
+
+
+def test_a_mark_lies_below_a_legend_outside_the_axes(tmp_path, monkeypatch):
+    figure = Figure((4.0, 3.0), layout="constrained")
+    figure.add_subplot().plot([0, 1], label="line")
+    figure.legend(loc="outside lower center")
+    drawn = []
+
+    def draw(legend, renderer):
+        boxes = [a.get_window_extent(renderer) for a in (legend, under())]
+        drawn.append(boxes[0].y0 >= boxes[1].y1)
+
+    def under():
+        return figure.texts[1]
+
+    monkeypatch.setattr(Legend, "draw", draw)
+    save_figure(tmp_path / "a.png", figure, "DOES NOT HOLD: audit")
+    assert drawn and all(drawn)
 
 
 def test_without_a_mark_nothing_is_drawn(tmp_path):

@@ -196,7 +196,12 @@ def test_a_zmp_outside_is_told_by_how_much():
         "130 mm in front and 40 mm to the left" in said
         and "least_force_n" in said
     )
-    assert "in a pattern least_share" in said
+    assert "in a pattern least_share" in said and "not mm" not in said
+    with pytest.raises(InputError, match="8 mm behind and 112 mm to the right"):
+        load.check_inside(np.add(places, [0.138, 0.152]))
+    far = Load([0.0, 0.5, 1.0], force, 1e3 * zmp, "it")
+    with pytest.raises(InputError, match="3 samples; the ZMP is in m, not mm"):
+        far.check_inside(places)
     edge = Load([0.0], force[:1], [[0.2, 0.06]])
     edge.check_inside(places)
     # Where the pose is given, it is only what was recorded.
