@@ -720,8 +720,11 @@ def _draw_mark(figure: Figure, mark: str) -> None:
         weight="bold",
         **style,
     )
-    for legend in figure.legends:  # else a tight box takes it along, onto it
-        legend.set_bbox_to_anchor((0, 0, 1, 1), figure.transFigure)
+    if figure.legends:  # a tight box would take them along, onto the mark
+        figure.draw_without_rendering()  # lays out, with room for them
+        figure.set_layout_engine("none")
+        for legend in figure.legends:
+            legend.set_bbox_to_anchor((0, 0, 1, 1), figure.transFigure)
     lines = textwrap.wrap(mark, int(12 * width))
     figure.text(0.5, -0.02, "\n".join(lines), va="top", fontsize=9, **style)
 
