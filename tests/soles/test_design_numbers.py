@@ -146,6 +146,9 @@ def test_a_limit_is_held_to_a_hundredth(design, name):
         check = mine[f"bounds.{name}"]
         assert check.value == pytest.approx(factor * value)
         assert check.limit == pytest.approx(factor * limit)
+        said = "begin with a shape" in check.sentence
+        of_shape = name in ("depth", "height", "draft")
+        assert said is (of_shape and not check.holds)
         if value > 0:  # a hundredth of a limit below 0 is the other way round
             assert check.holds is holds
 

@@ -310,7 +310,12 @@ class Design:
                 bool(sign * (value - limit) <= _ROUNDING * limit + 1e-9),
                 float(value), limit, unit, name,
                 "the design by the exact law is outside the case's limit; "
-                "optimise it longer (resume, iterations)",
+                "optimise it longer (resume, iterations)"
+                + (
+                    ", or begin with a shape that is within it"
+                    if what in ("depth", "height", "draft")
+                    else ""
+                ),
             )
             for what, value, limit, unit, sign in held
             if limit is not None
