@@ -323,7 +323,7 @@ def test_the_mesh_is_timed_by_itself(monkeypatch, tmp_path, capsys):
     )  # fmt: skip
     sole._simulate(args)
     assert written[0][1] == {"mesh_seconds": 2.25}
-    assert "4 steps" in capsys.readouterr().out
+    assert "4 samples" in capsys.readouterr().out
 
 
 def test_a_study_is_looked_for_beside_its_case(monkeypatch, tmp_path):
