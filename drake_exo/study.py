@@ -295,7 +295,7 @@ class Study:
     def gate(
         self, use: Use | None = None, accepted: Sequence[str] = ()
     ) -> tuple[Check, ...]:
-        """The checks of `plausibility`; raises if one is not passed.
+        """Checks of `plausibility` and a worn sole's law; raises if one fails.
 
         Args:
             use: use of the trials to check; all by default.
@@ -310,6 +310,8 @@ class Study:
         """
         checks = self.plausibility(use)
         refuse(checks, accepted, self.name)
+        if self.sole is not None:
+            checks += self.sole.checks(str(self.foot_ground.law))
         return checks
 
     def warn_of(self, trials: Sequence[Trial]) -> None:

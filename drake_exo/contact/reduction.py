@@ -22,7 +22,7 @@ from drake_exo.contact.parameters import (
 )
 from drake_exo.errors import InputError, path_of
 from drake_exo.files import schema
-from drake_exo.files.output import write_csv
+from drake_exo.files.output import Check, write_csv
 from drake_exo.model.assembly import Person
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import CONTACT_RADIUS_M
@@ -172,6 +172,23 @@ class SoleLaw:
                 "foot_ground.law: the law of a sole is that of a rigid foot; "
                 "set model.human.toes to rigid"
             )
+
+    def checks(self, where: str) -> tuple[Check, Check]:
+        """Notes on how near the law, told of as `where`, is to its sole."""
+        rows = (
+            ("force", self.force_error_rms, _FORCE, "", "forces"),
+            ("cop", self.cop_error_rms_m, _COP_M, "m", "centres of pressure"),
+        )
+        return tuple(
+            Check(
+                f"sole.{what}", value <= limit, value, limit, unit, where,
+                f"{signals} of the law differ by so much (RMS) from those of "
+                "the sole that it stands for; more spheres (sole reduce) may "
+                "come nearer",
+                "note",
+            )
+            for what, value, limit, unit, signals in rows
+        )  # fmt: skip
 
     def ground(
         self, model: Model, at_m: tuple[float, float] | None = None
