@@ -59,6 +59,10 @@ from drake_exo.study import (
     write_inputs,
 )
 
+# Errors of an angle above 5 deg may mislead who reads it [deg] (McGinley et
+# al. 2009, The reliability of three-dimensional kinematic gait measurements).
+_MISLEADING = 5.0
+
 # Former name of the example, which may be in somebody's scripts.
 _FORMER = {
     "drake_exo.forces.assist_controller:AssistController": (
@@ -245,14 +249,16 @@ def write_predictions(
         trials = trials[: len(found)]
     write_inputs(out, study.model, trials)
     write_contact(out, contact.scaled(scale_interaction))
-    verdict = Verdict(tuple(checks), tuple(accepted))
     summary = {
         "inputs": of,
         "scale_interaction": scale_interaction,
         "controller": controller_name,
         **_summary(study, found, trials, refused),
-        **verdict.summary(),
     }
+    if not designed:
+        checks += [_accuracy(rmsd) for rmsd in summary["rmsd"]]
+    verdict = Verdict(tuple(checks), tuple(accepted))
+    summary |= verdict.summary()
     good = [
         (p, b if b is not None and b.success else None, p.timed(t))
         for p, b, t in zip(found, baseline, trials, strict=False)
@@ -317,6 +323,22 @@ def load_controller(name: str | None) -> System | None:
             f"--controller {name}: is not a Drake system; {remedy}"
         )
     return found
+
+
+def _accuracy(rmsd: dict) -> Check:
+    """Whether a prediction's angles are near the measured ones."""
+    joint, off = max(rmsd["angles_deg"].items(), key=lambda item: item[1])
+    return Check(
+        "accuracy",
+        off <= _MISLEADING,
+        off,
+        _MISLEADING,
+        "deg",
+        f"{rmsd['trial']}, {joint}",
+        "the predicted angle differs this much (RMSD) from the measured one: "
+        "the equations are solved, but the person moved in another way",
+        "note",
+    )
 
 
 def _summary(

@@ -18,7 +18,7 @@ from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.calibration.solving import read_checkpoint
 from drake_exo.cli import main
 from drake_exo.cli.calibrate import inputs
-from drake_exo.cli.predict import _summary, write_predictions
+from drake_exo.cli.predict import _accuracy, _summary, write_predictions
 from drake_exo.contact.parameters import Posterior, nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.output import prepare_output_folder, read_json
@@ -49,6 +49,20 @@ def test_unseen_rises_are_predicted(summary):
         assert set(row["moments_nm"]) == {"ankle", "knee", "hip"}
         assert row["interaction_n"] == {}
     assert all(row["holds"] for row in summary["audit"])
+    accuracy = [c for c in summary["checks"] if c["name"] == "accuracy"]
+    assert [c["value"] for c in accuracy] == [
+        max(row["angles_deg"].values()) for row in summary["rmsd"]
+    ]
+    assert all(c["holds"] for c in accuracy)
+
+
+def test_angles_far_from_the_measured_ones_are_noted():
+    check = _accuracy(
+        {"trial": "walk", "angles_deg": {"ankle_left": 16.2, "hip_left": 2.1}}
+    )
+    assert (check.holds, check.level) == (False, "note")
+    assert check.where == "walk, ankle_left" and check.value == 16.2
+    assert "moved in another way" in check.sentence
 
 
 @pytest.mark.slow
@@ -221,9 +235,11 @@ def test_differences_from_another_device_say_so(
     usual = made.contact if designed else None
     with undrawn():
         write_predictions(study, made.contact, tmp_path, usual=usual)
-    for text in ((tmp_path / "rmsd.txt").read_text(), capsys.readouterr().out):
+    printed = capsys.readouterr().out
+    for text in ((tmp_path / "rmsd.txt").read_text(), printed):
         assert "movements start from" in text
         assert ("measured in the device of today" in text) == designed
+        assert ("accuracy" in text) == (not designed and text is printed)
 
 
 def test_movements_start_from_a_chair_only_where_it_bears():
