@@ -130,7 +130,8 @@ def read_person(
             if not 0.05 < abs(at[upper] - at[lower]) < 1.5:
                 raise InputError(
                     f"{path}: the {side} {name} is "
-                    f"{abs(at[upper] - at[lower]):.3f} m long"
+                    f"{abs(at[upper] - at[lower]):.3f} m long, not 0.05 to "
+                    "1.5 m; give a model in metres, scaled to the person"
                 )
     legs = [_leg(lumps, side, at) for side, at in places.items()]
     markers = {
@@ -171,7 +172,8 @@ def _segments(osim: OsimModel) -> dict[str, tuple[str, str | None]]:
         if osim.joint_of(body).parent != above:
             raise InputError(
                 f"{osim.source}: body {body!r} hangs from "
-                f"{osim.joint_of(body).parent!r}, not from {above!r}"
+                f"{osim.joint_of(body).parent!r}, not from {above!r} as in "
+                "OpenSim's gait models; rename the bodies of another model"
             )
     return found
 
@@ -238,7 +240,8 @@ def _human(osim, trunk: _Lump, legs, places, height_m, sex) -> HumanParameters:
         pair = [leg[name][0] for leg in legs]
         if any(not (lump.mass > 0.0 and lump.inertia > 0.0) for lump in pair):
             raise InputError(
-                f"{osim.source}: the {name} weighs nothing or has no inertia"
+                f"{osim.source}: the {name} weighs nothing or has no inertia "
+                "about the sideways axis; give it mass and inertia there"
             )
         com = np.mean([lump.com for lump in pair])
         return SegmentParameters(
@@ -342,7 +345,7 @@ def _joint_notes(osim: OsimModel, person: Person, segments):
             if found is None and name != "toes":
                 raise InputError(
                     f"{osim.source}: joint {joint.name!r} has no coordinate "
-                    "that turns it in the sagittal plane"
+                    "that turns it in the sagittal plane; free one there"
                 )
             if found is None:
                 yield f"joint {joint.name!r} is fixed; here it is a hinge"
