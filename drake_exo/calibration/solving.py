@@ -51,7 +51,7 @@ class SolveWatch:
     def __call__(self, iterate: Iterate) -> None:
         """Print progress and save; see `on_iterate` of `nlp.ipopt.solve`."""
         self._progress.update(
-            f"{iterate.strategy} iteration {iterate.iteration}, objective "
+            f"iteration {iterate.iteration} ({iterate.strategy}), objective "
             f"{iterate.objective:.6g}, infeasibility "
             f"{iterate.infeasibility:.1e}"
         )
