@@ -249,8 +249,8 @@ def check_has_cuffs(model: Model) -> None:
     if not model.cuffs:
         raise InputError(
             "the study's model has no exoskeleton with cuffs; say "
-            "'model: coupled' or describe one, or calibrate the foot-ground "
-            "phase alone"
+            "'model: coupled' or describe one; for a person alone there are "
+            "'calibrate --phase foot-ground' and 'predict'"
         )
 
 

@@ -3,6 +3,7 @@
 Each calibration trial is left out in turn. Contact is calibrated on the others
 (Phases A and B). The one left out is then predicted from its end states (Phase
 C1), with calibrated cuffs and with nominal ones, and compared with its mats.
+So the study needs a device with cuffs and mats.
 """
 
 import argparse

@@ -386,6 +386,8 @@ def _summary(
             else "the measured chair force"
             if any(t.chair_shares for t in trials)
             else "seat-off or later, without a chair"
+            if all("rise" in t.provenance.get("part", ()) for t in trials)
+            else "their first measured state"
         ),
     }
 

@@ -247,8 +247,8 @@ class FootEvent:
             when = ", ".join(f"{t:.2f} s" for t in found)
             raise InputError(
                 f"{self}: the recording has {len(found)} {self.kind} of the "
-                f"{self.side} foot{' at ' if when else ''}{when}; name one of "
-                "them, or give a time"
+                f"{self.side} foot{' at ' if when else ''}{when}; "
+                f"{'name one of them, or ' if when else ''}give a time"
             )
         return found[self.number - 1]
 

@@ -315,7 +315,7 @@ def read_foot_forces(
         forces.source, len(time), forces.rate_hz, settings.cutoff_hz
     )
     if loaded:
-        _check_direction(forces)
+        _check_direction(forces, laboratory)
     return forces
 
 
@@ -341,14 +341,15 @@ def _plate(path, recorded: Mapping[int, PlateRecording], number: int):
     )
 
 
-def _check_direction(forces: FootForces) -> None:
+def _check_direction(forces: FootForces, laboratory: Laboratory) -> None:
     """Refuse forces that point down: those on the body point up."""
     F_z = forces.total(forces.feet)
     if -F_z.min() > max(F_z.max(), 50.0):
+        on = "body" if laboratory.forces_act_on == "plate" else "plate"
         raise InputError(
             f"{forces.source}: the vertical force reaches {F_z.min():.0f} N, "
-            "downwards; say 'forces_act_on: plate' in laboratory if these "
-            "are the forces on the plate, or correct force_axes"
+            f"downwards; say 'forces_act_on: {on}' in laboratory if these "
+            f"are the forces on the {on}, or correct force_axes"
         )
 
 
@@ -417,8 +418,9 @@ def check_loaded(
     if most > _LEAST_LOAD * weight:
         return
     cause = (
-        "check the numbers in plates, the unit of force (N, not kN), "
-        "subject.mass_kg, a device's masses and the part that is used"
+        "check the numbers in plates, laboratory.force_axes, the unit of "
+        "force (N, not kN), subject.mass_kg, a device's masses and the part "
+        "that is used"
     )
     raise InputError(
         f"{source}: the feet bear {most:.4g} N at most ({where}), but the body "

@@ -243,16 +243,19 @@ def test_differences_from_another_device_say_so(
 
 
 def test_movements_start_from_a_chair_only_where_it_bears():
-    """An empty plate may lie under the seat."""
+    """An empty plate may lie under the seat; a squat has no seat."""
     model, (trial,) = synthetic.rises_on_spheres(1, nodes_per_second=20)
+    rise = {"part": {"from": "rise", "rise": 1}}
+    squat = {"part": {"from": "whole recording", "start_s": 2.0}}
     starts = []
-    for share in (0.0, 0.3):
+    for share, origin in ((0.0, rise), (0.3, rise), (0.0, squat)):
         chair = PlanarWrench.of(share * trial.ground.array)
-        seated = replace(trial, chair=chair)
+        seated = replace(trial, chair=chair, provenance=origin)
         found = _summary(Study(model, [seated]), [], [seated], None)
         starts.append(found["starts_from"])
     assert starts[0].startswith("seat-off")
     assert starts[1] == "the measured chair force"
+    assert starts[2] == "their first measured state"
     settings = PredictionSettings(
         ends="periodic", speed_m_s=1.2, torque_limit_nm=200.0
     )

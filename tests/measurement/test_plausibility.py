@@ -683,6 +683,7 @@ def test_forces_in_kilonewtons_end_with_a_sentence(folder):
     forces(folder, lambda _, x: 1e-3 * x, r"ground_force_\d_(v|m).")
     text = refused(folder)
     assert "sts.mot: the feet bear 0." in text and "not kN" in text
+    assert "laboratory.force_axes" in text
     forces(
         folder, lambda _, x: 1e-3 * x, r"ground_force_\d_(v|m).", "static.mot"
     )

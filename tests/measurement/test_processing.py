@@ -448,11 +448,13 @@ def test_forces_on_the_plate(files, loaded):
         sign = [-1.0 if "_v" in n else 1.0 for n in table.names]
         return replace(table, values=table.values * sign)
 
+    plate = replace(study.laboratory, forces_act_on="plate")
+    turned = replace(study, laboratory=plate)
+    assert "forces_act_on: body" in refusal(turned, folder)
     edit_forces(folder, flip)
     assert "forces_act_on: plate" in refusal(study, folder)
     edit_forces(folder, flip, "static.mot")
-    turned = replace(study.laboratory, forces_act_on="plate")
-    _, trials = load(replace(study, laboratory=turned), folder)
+    _, trials = load(turned, folder)
     np.testing.assert_allclose(
         trials[0].ground.force, loaded[1][0].ground.force, atol=1e-6
     )

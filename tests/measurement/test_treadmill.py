@@ -126,6 +126,8 @@ def test_a_foot_without_a_plate_of_its_own_has_no_events():
     event = FootEvent.of("toe_off left 1")
     with pytest.raises(InputError, match="no plate is the left foot's alone"):
         event.time_s({"right": []})
+    with pytest.raises(InputError, match="of the left foot; give a time"):
+        event.time_s({"left": []})
 
 
 @pytest.mark.slow
