@@ -103,6 +103,11 @@ class Copies:
             named = end or (ENDS[own] if own else "")
             yield Copy(body, self._frame(body, part, own), named)
 
+    def aside(self, copy: Copy) -> float:
+        """Place to the right [m] of a copy's frame; it moves in this plane."""
+        R, p = self.zero[copy.body]
+        return float((p + R @ copy.frame.p)[2])
+
     def _frame(self, body: str, part: str, side: str) -> Pose:
         """Pose of a segment's frame in a body, with all coordinates zero."""
         R_GP, p_GP = self.zero["pelvis"]
@@ -154,8 +159,7 @@ def states_of(copies: Copies, links, osim: OsimModel, trial: Trial):
     v: dict[str, np.ndarray] = {}
 
     def reach(names, segment, copy: Copy, rows=(0, 1, 2)):
-        R, p = copies.zero[copy.body]
-        aside = np.array([(p + R @ copy.frame.p)[2], 0.0, 0.0])
+        aside = np.array([copies.aside(copy), 0.0, 0.0])
         place, angle, motion = tree.link_motion(trial.q, trial.v, segment)
         target = np.column_stack([place.T, angle, np.tile(aside, (n, 1))])
         rate = np.column_stack([motion.T, np.zeros((n, 3))])
@@ -343,7 +347,10 @@ def write_states(
 def write_forces(
     path: Path, copies: Copies, trial: Trial, mark: str = ""
 ) -> None:
-    """Write the ground reaction of each foot as OpenSim's external loads."""
+    """Write the ground reaction of each foot as OpenSim's external loads.
+
+    It acts in the plane in which the foot moves.
+    """
     two = bool(copies.who.sides)
     columns, values = external_loads(
         {
@@ -352,6 +359,10 @@ def write_forces(
         },
         1.0 if two else 0.5,
     )
+    for part_of in copies.who.suffixes:
+        for copy in copies.of(f"foot{part_of}"):
+            at = columns.index(f"ground_force{copy.end}_pz")
+            values[:, at] = copies.aside(copy)
     table = Table(trial.times, tuple(columns), values, in_degrees=False)
     title = f"Ground reaction of {trial.name}"
     write_table(path, table, title, mark, digits=17)

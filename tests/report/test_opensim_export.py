@@ -459,6 +459,23 @@ def test_ground_forces_are_each_foots(case):
             assert table.column(f"ground_torque_{end}_z") == pytest.approx(0.0)
 
 
+@pytest.mark.parametrize("kind", ["alone", "two legs"])
+def test_ground_forces_act_where_the_feet_are(case, kind):
+    """On the midline they would bend the hips sideways."""
+    one = case(kind)
+    out, model, q, _ = exported(one)
+    poses = model.poses(q, len(one.trial.times))
+    table = read_table(out.with_name("out_a_ground_forces.sto"))
+    for end in "lr":
+        shape = f".//ContactSphere[@name='contact_heel_{end}_sphere']"
+        place = OsimFile(out).model.find(shape).findtext("location").split()
+        R, p = poses[f"calcn_{end}"]
+        centre = p + R @ np.array(place, float)
+        acts = table.column(f"ground_force_{end}_pz")
+        np.testing.assert_allclose(acts, centre[:, 2], atol=2e-3)
+        assert np.abs(acts).min() > 0.05
+
+
 def test_what_was_done_is_said(case):
     said = " ".join(case("coupled").export().lines)
     assert "one leg stands for both" in said
