@@ -408,6 +408,8 @@ def _entries(figure: Figure) -> dict[str, object]:
 def quality_figure(trial: Trial, quality: TrialQuality) -> Figure:
     """Figure of angles, forces, Newton residual, moments, mats and markers.
 
+    Of a person alone it shows the centre of pressure instead of mats.
+
     Args:
         trial: as loaded.
         quality: report on the same trial.
@@ -430,9 +432,15 @@ def quality_figure(trial: Trial, quality: TrialQuality) -> Figure:
             _by_joint(ax, trial, t, trial.moment)
         _finish_axes(ax, "joint moments", "moment [N m]")
         ax = axes[1, 1]
-        for name, look in _looks(trial.cuffs).items():
-            ax.plot(t, trial.cuffs[name].normal, label=name, **look)
-        _finish_axes(ax, "mats: normal force on the human", "force [N]")
+        if trial.coordinates.device:
+            for name, look in _looks(trial.cuffs).items():
+                ax.plot(t, trial.cuffs[name].normal, label=name, **look)
+            _finish_axes(ax, "mats: normal force on the human", "force [N]")
+        else:
+            for side, wrench in trial.soles.items():
+                foot = "feet" if side == "both" else side
+                ax.plot(t, wrench.cop_x, ls=_dash(side), label=foot)
+            _finish_axes(ax, "centre of pressure", "x [m]")
         _markers(axes[1, 2], quality)
         figure.suptitle(trial.name)
     return figure

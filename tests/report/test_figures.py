@@ -626,6 +626,10 @@ def test_both_legs_joints_are_told_apart_without_hiding_curves():
     assert left.get_color() == right.get_color()
     assert left.get_linestyle() != right.get_linestyle()
     assert left.get_color() != drawn["hip_left"].get_color()
+    # Nobody wears mats without a device.
+    assert "mats" not in " ".join(ax.get_title() for ax in figure.axes)
+    t = trial.start_s + trial.times
+    same(lines(figure.axes[4])["feet"], t, trial.ground.cop_x)
     FigureCanvasAgg(figure).draw()
     legend = ax.get_legend().get_window_extent()
     assert legend.y1 < ax.bbox.y0
