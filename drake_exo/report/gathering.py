@@ -324,7 +324,7 @@ class Comparison:
         for key in dict.fromkeys(key for asked in found for key in asked):
             cells = [_plain(asked.get(key)) for asked in found]
             if len(set(cells)) > 1:
-                rows[key] = cells
+                rows[key] = _first_difference(cells)
         return rows
 
     def _is_of_one(self) -> bool:
@@ -499,6 +499,19 @@ def _plain(value) -> str:
     if isinstance(value, list | tuple):
         return f"({', '.join(map(_plain, value))})"
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _first_difference(cells: list[str]) -> list[str]:
+    """Cells; of texts such as a device's file, the first place that differs."""
+    if not any("\n" in cell for cell in cells):
+        return cells
+    together = enumerate(zip(*cells, strict=False))
+    differ = (at for at, of in together if len(set(of)) > 1)
+    at = next(differ, min(map(len, cells)))
+    line = cells[0].count("\n", 0, at) + 1
+    start = max(cells[0].rfind("\n", 0, at) + 1, at - 24)
+    parts = [cell[start : at + 16].partition("\n")[0] for cell in cells]
+    return [f"line {line}: {part}" for part in parts]
 
 
 def _peak(signals: list[np.ndarray]) -> str:

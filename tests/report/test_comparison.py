@@ -114,6 +114,21 @@ def test_damaged_parameters_are_one_sentence(tmp_path, trials, row):
         compare([sound, damaged])
 
 
+def test_of_two_files_the_first_difference_is_told(tmp_path, trials):
+    """Such as of two devices: a whole URDF would fill pages."""
+    folders = []
+    for name, mass in (("a", "1.7"), ("b", "3.4")):
+        text = f'<link>\n<origin xyz="0 0 0.2"/><mass value="{mass}"/>\n</link>'
+        asked = {"settings": {"text": text}}
+        folders.append(leave(tmp_path / name, trials[:1], 0.0, **asked))
+    assert compare(folders).settings() == {
+        "settings.text": [
+            'line 2: "0 0 0.2"/><mass value="1.7"/>',
+            'line 2: "0 0 0.2"/><mass value="3.4"/>',
+        ]
+    }
+
+
 def test_model_contact_and_filter_count_among_settings(tmp_path, trials):
     filtered = [
         replace(
