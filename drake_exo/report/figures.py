@@ -599,9 +599,12 @@ def device_figure(designed) -> Figure:
     trial, tree = moved[0].trial, wearer.model.tree
     old = wearer.contact.bushings
     new = designed.design.contact(wearer.contact).bushings
-    told = {c: _told(c, d) for c, d in designed.design.cuffs.items()}
+    told = {c: f"{c}: as today" for c in tree.cuffs}
+    told |= {c: _told(c, d) for c, d in designed.design.cuffs.items()}
+    lines = sum(1 + text.count("\n") for text in told.values())
+    larger = max(1.0, lines / 22)  # lines that a figure of 4.4 inches holds
     with matplotlib.rc_context(STYLE):
-        figure = Figure((5.4, 4.4), layout="constrained")
+        figure = Figure((5.4 * larger, 4.4 * larger), layout="constrained")
         axes = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.6))
         # Side by side, however narrow equal scales make them.
         for axis, side in zip(axes, "EW", strict=True):
@@ -612,6 +615,7 @@ def device_figure(designed) -> Figure:
             for joint in tree.joints:
                 _draw_link(axis, wearer.model, q, joint)
             _draw_ends(axis, wearer.model, q)
+            _draw_arms(axis, tree, q, old)
             spots = {
                 cuff: [
                     tree.point_positions(q, link, np.array(b.origin))[0]
@@ -619,30 +623,16 @@ def device_figure(designed) -> Figure:
                 ]
                 for cuff, (link, _) in tree.cuffs.items()
             }
-            below = np.inf  # of the text above: both legs' would overlap
-            for cuff in sorted(spots, key=lambda c: -spots[c][1][1]):
-                was, at = spots[cuff]
+            for cuff, (was, at) in spots.items():
                 axis.plot(*was, "o", mfc="none", mec=_BEFORE, ms=9)
                 axis.plot(*at, "o" if cuff in new else "x", color=_AFTER, ms=6)
-                if row == 0:
-                    continue
-                text = told.get(cuff, f"{cuff}: as today")
-                half = 0.035 * (1 + text.count("\n"))  # m, of its height
-                height = min(at[1], below - half)
-                below = height - half
-                axis.annotate(
-                    text,
-                    at,
-                    (at[0] + 0.25, height),
-                    fontsize=7,
-                    va="center",
-                    arrowprops={"arrowstyle": "-", "lw": 0.5, "color": "0.5"},
-                )
             axis.set_aspect("equal")
             axis.margins(x=0.15)
             axis.set_title(title)
             axis.set_xlabel("x [m]")
-        axes[1].set_xlim(right=axes[1].get_xlim()[1] + 0.95)
+        _write_beside(
+            axes[1], {told[c]: at for c, (_, at) in spots.items()}, larger
+        )
         axes[0].set_ylabel("z [m]")
         for marker, face, edge, label in (
             ("o", "none", _BEFORE, "cuff today"),
@@ -661,12 +651,47 @@ def device_figure(designed) -> Figure:
     return figure
 
 
+def _write_beside(axis, texts: dict[str, np.ndarray], larger: float) -> None:
+    """Write texts to the right of their places, at their height if possible.
+
+    Both legs' would overlap: they follow each other downwards, or upwards
+    from the lower end of the axes.
+    """
+    half = {text: 0.042 / larger * (1 + text.count("\n")) for text in texts}
+    low, right = axis.get_ylim()[0], axis.get_xlim()[1]
+    heights, below = {}, np.inf  # m
+    for text in sorted(texts, key=lambda text: -texts[text][1]):
+        heights[text] = min(texts[text][1], below - half[text])
+        below = heights[text] - half[text]
+    for text in reversed(heights):
+        heights[text] = max(heights[text], low + half[text])
+        low = heights[text] + half[text]
+    for text, height in heights.items():
+        axis.annotate(
+            text,
+            texts[text],
+            (right + 0.1, height),
+            fontsize=7,
+            va="center",
+            arrowprops={
+                "arrowstyle": "-",
+                "lw": 0.5,
+                "color": "0.5",
+                "relpos": (0.0, 0.5),
+            },
+        )
+    left = axis.get_xlim()[0]
+    axis.set_xlim(left, right + 1.1)
+    axis.set_xticks([x for x in axis.get_xticks() if left <= x <= right])
+    axis.spines["bottom"].set_bounds(left, right)
+
+
 def _head(figure: Figure, designed) -> None:
     """Write above a figure what in the design is extrapolated."""
     beyond = designed.beyond()
     if beyond:
         text = f"{EXTRAPOLATED}: {', '.join(beyond)}"
-        text = _wrapped(text, figure.get_size_inches()[0])
+        text = textwrap.fill(text, int(11 * figure.get_size_inches()[0]))
         figure.suptitle(text, color=_AFTER, fontsize=9)
 
 
@@ -725,6 +750,17 @@ def _draw_link(axis, model, q, joint: str) -> None:
         solid_capstyle="round",
         zorder=2 if device else 1,
     )
+
+
+def _draw_arms(axis, tree, q, bushings) -> None:
+    """Draw lines from the device's joints to the cuffs on their links."""
+    for cuff, (_, end) in tree.cuffs.items():
+        tip = tree.point_positions(q, end, np.array(bushings[cuff].origin))[0]
+        for joint in tree.coordinates.device:
+            for link in tree.joints[joint]:
+                if np.array_equal(tree.turning(link), tree.turning(end)):
+                    root = tree.point_positions(q, link, np.zeros(2))[0]
+                    axis.plot(*np.transpose([root, tip]), color=_LINKS, lw=1.5)
 
 
 def _draw_ends(axis, model, q) -> None:

@@ -490,6 +490,9 @@ def test_a_designed_device_is_drawn_where_it_holds():
             link = tree.cuffs[cuff][0]
             own = np.array([b.origin_x, b.origin_z])
             assert is_drawn(place(link, own))
+            if cuff == "shank":  # its link, from the joint to the cuff
+                worn = place(tree.cuffs[cuff][1], own)
+                assert is_drawn([place("exo_shank", (0.0, 0.0)), worn])
             if cuff == "thigh":
                 assert is_drawn(place(link, own + np.array([0.0, 0.03])))
     left, right = figure.axes
@@ -502,13 +505,21 @@ def test_a_designed_device_is_drawn_where_it_holds():
         assert right.get_xlim()[1] > text.xyann[0] + 0.3
     # Where cuffs lie close, as those of both legs, their texts do not, and
     # what is beyond the calibrated stays on the figure.
-    close = {"thigh": CuffDesign(along_m=-0.4), "shank": CuffDesign(hinge=0.5)}
+    low = CuffDesign(
+        along_m=-0.15, hinge=0.5, slide=0.5, area=2.0,
+        strap_normal_n_m=2e3, strap_rotational_nm_rad=9.0,
+    )  # fmt: skip
+    close = {"thigh": CuffDesign(along_m=-0.4), "shank": low}
     made.design, made.beyond = Design(close), lambda: ["thigh_of_the_left"] * 6
     crowded = figures.device_figure(made)
     FigureCanvasAgg(crowded).draw()
     boxes = [Text.get_window_extent(t) for t in crowded.axes[1].texts]
     for one, other in combinations(boxes, 2):
         assert not one.overlaps(other)
+    axes = crowded.axes[1].bbox
+    assert all(axes.y0 < box.y0 and box.x1 < crowded.bbox.x1 for box in boxes)
+    words = crowded.texts[0].get_text().split(": ")[1]
+    assert words.replace("\n", " ") == ", ".join(["thigh_of_the_left"] * 6)
     head = crowded.texts[0].get_window_extent()
     assert head.x0 >= 0.0 and head.x1 <= crowded.bbox.width
     assert left.get_title() == "start"
