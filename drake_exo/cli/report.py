@@ -2,8 +2,8 @@
 
 It looks through DIR for what `calibrate` and `predict` wrote. In DIR/report it
 makes Table II (calibration) and Table III (prediction) as text and CSV, and
-Figures 2 to 7. If the subject is that of the virtual laboratory, the paper's
-own numbers stand beside its results.
+Figures 2 to 7. If the subject is that of the virtual laboratory in the shipped
+exoskeleton, the paper's own numbers stand beside its results.
 """
 
 import argparse

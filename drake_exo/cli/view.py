@@ -1,7 +1,7 @@
 """`drake-exo view`: replays results in a browser, or saves the page.
 
-DIR is a folder that `calibrate`, `predict`, `demo`, `sole simulate`, `sole
-optimize` or `sole study` wrote. The page is one HTML file that needs no
+DIR is a folder that `calibrate`, `predict`, `design`, `demo`, `sole simulate`,
+`sole optimize` or `sole study` wrote. The page is one HTML file that needs no
 network. It has a list of trials and a time slider, and shows measured beside
 simulated movements, forces as arrows, and a sole's contact pressure in colour.
 """

@@ -94,12 +94,13 @@ def comparison(runs: dict[str, Results]) -> list[list]:
 
     Columns of each run: mean and SD over trials, and for a prediction the mean
     with nominal cuffs; a run that does not hold says so in its header. Then
-    one standard deviation of the measured trials and, for the virtual subject,
-    the paper's numbers.
+    one standard deviation of the measured trials and, for the virtual subject
+    with one leg that stands for both, the paper's numbers.
     """
     every = [s for r in runs.values() for s in r.summary["rmsd"]]
     last = list(runs.values())[-1].summary
-    beside = last["subject"] == VIRTUAL_SUBJECT
+    knee = any(path[-1] == "knee" for _, path in rmsd_signals(every))
+    beside = knee and last["subject"] == VIRTUAL_SUBJECT
     header = ["signal"]
     for label, run in runs.items():
         name = f"{label} ({run.mark.partition(':')[0]})" if run.mark else label

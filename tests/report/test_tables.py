@@ -227,6 +227,15 @@ def test_the_papers_table_has_each_run_beside_the_paper():
     assert thigh[0] == 7.0 and thigh[-2:] == ["", "2.3"]
 
 
+def test_two_legs_stand_beside_no_paper():
+    """The laboratory's person in another device than the paper's."""
+    rows = [{"angles_deg": {"knee_left": 1.0, "motor": 2.0}}]
+    header, *_ = serrancoli.comparison(
+        {"B": Told("interaction", rows).results()}
+    )
+    assert header == ["signal", "B mean", "B SD", "measured SD"]
+
+
 def predicted(scale, thigh, **more):
     rows = [{**s, "interaction_n": {"thigh": thigh}} for s in SCORES]
     more = {"scale_interaction": scale, **more}
