@@ -169,8 +169,16 @@ def load_figure(
         _over_time(right, load.begins, load.times, force,
                    color=colour, label=f"$F_{axis}$")  # fmt: skip
     right.set(xlabel="time [s]", ylabel="force [N]", title="Ground force")
-    right.legend(ncols=3)
+    _legend_below(right, -0.14)
     return figure
+
+
+def _legend_below(axis, place: float) -> None:
+    """Put three entries in a row below the axes, clear of many loads' curves.
+
+    `place` is their upper edge, in heights of the axes.
+    """
+    axis.legend(ncols=3, loc="upper center", bbox_to_anchor=(0.5, place))
 
 
 def _over_time(axis, begins: Sequence[int], t, values, **look) -> None:
@@ -278,8 +286,8 @@ def pose_figure(columns: dict[str, np.ndarray]) -> Figure:
     draw(nodes, columns["nodes_in_contact"], color="k")
     nodes.set(xlabel="time [s]", ylabel="number", ylim=(0, None))
     nodes.set_title("Nodes in contact")
-    place.legend()
-    turn.legend()
+    _legend_below(place, -0.02)
+    _legend_below(turn, -0.02)
     return figure
 
 
@@ -675,5 +683,7 @@ def _peak(figure, axis, mesh: TetMesh, peak: np.ndarray) -> None:
     top = int(np.argmax(kpa))
     axis.plot(*place[top], "x", color="cyan")
     axis.set_ylim(place[:, 1].min() - _MARGIN, place[:, 1].max() + _MARGIN)
-    axis.set_title(f"largest pressure of the step; ×: {kpa[top]:.0f} kPa")
+    axis.set_title(
+        f"largest pressure of the step, from above; ×: {kpa[top]:.0f} kPa"
+    )
     figure.colorbar(drawn, ax=axis, label="pressure [kPa]", shrink=0.8)

@@ -219,6 +219,27 @@ def test_heel_strike_is_shaded_in_the_stiffness():
     assert "rad" in axes[2].get_ylabel()
 
 
+def test_legends_keep_clear_of_many_loads(mesh):
+    """Below the axes: no place within them is free of curves."""
+    load = _load(mesh, 40)
+    up = np.tile([[0.0, 0.0, 1.0], [0.0, 0.0, 900.0]], (20, 1))
+    many = replace(load, force=up)
+    names = ("origin_x_m", "origin_y_m", "origin_z_m", "roll_deg",
+             "pitch_deg", "yaw_deg", "stability_n_per_m",
+             "nodes_in_contact", "converged")  # fmt: skip
+    columns = {name: up[:, 2] for name in names} | {"time_s": load.times}
+    drawn = pictures.load_figure(many, _level(mesh), FLAT)
+    posed = pictures.pose_figure(columns)
+    for figure, axes in (
+        (drawn, drawn.axes[1:2]), (posed, posed.axes[:2]),
+    ):  # fmt: skip
+        figure.draw_without_rendering()
+        for axis in axes:
+            box = axis.get_legend().get_window_extent()
+            assert box.y1 < axis.get_window_extent().y0
+            assert box.y0 > 0
+
+
 def test_a_load_of_one_sample_is_a_point(mesh):
     load = _load(mesh, 4)
     for begins, marker in (((0,), "None"), ((0, 1), "."), ((0, 3), ".")):

@@ -142,7 +142,7 @@ def test_dimensions_of_a_drawing_are_the_mesh_s():
     # Widths and thicknesses, cut by cut.
     wanted = [60.0, 23.0, 60.0, 30.0, 60.0, 37.0]
     assert numbers(across) == pytest.approx(wanted, abs=0.11)
-    assert "123 kPa" in pressed.get_title()
+    assert "from above; ×: 123 kPa" in pressed.get_title()
     assert "undercut 0.0 %" in above.get_title()
     assert "216 cm³" in figure._suptitle.get_text()
 
