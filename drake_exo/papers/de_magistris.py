@@ -309,6 +309,8 @@ def line(row: dict) -> str:
         f"{_number(finer['design']['c'], '.4g')} on {finer['tets']} tets, "
         f"{_number(finer['change'], '+.1%')}; "
     )  # fmt: skip
+    found = (row.get("gait") or {}).get("walk", {})
+    walk = [f"{name} {a:.3g} → {b:.3g}" for name, (a, b) in found.items()]
     return (
         f"{row['name']}: c {row['c']:.4g} on {row['tets']} tets, {on_finer}"
         f"c_tr {row['c_tr']:.3g} (×{row['ratio_tr']:.3f}), "
@@ -318,6 +320,7 @@ def line(row: dict) -> str:
         f"{'stable' if row['stable'] else 'unstable'}, largest strain "
         f"{row['max_strain']:.2f}; held by "
         f"{', '.join(row.get('active', ())) or 'no limit'}"
+        + (f"; walk: {', '.join(walk)}" if walk else "")
     )
 
 

@@ -85,6 +85,9 @@ def test_certainty_table_marks_what_is_unknown():
              "ratio_rot": 0.9, "volume_cm3": 8e2, "optimal": True}  # fmt: skip
     row |= costs | {"finer": None}
     assert paper.line(row | {"seconds": 99.0}) == paper.line(row)
+    row["gait"] = {"walk": {"step_time": [0.9, 0.8], "aim_x": [0, 0.01]}}
+    walk = "; walk: step_time 0.9 → 0.8, aim_x 0 → 0.01"
+    assert paper.line(row).endswith(walk)
 
 
 def test_a_design_without_costs_has_its_line(tmp_path):
