@@ -264,6 +264,11 @@ class Material:
         nu = self.poissons_ratio
         return self.youngs_modulus_pa * nu / ((1 + nu) * (1 - 2 * nu))
 
+    @property
+    def confined_modulus(self) -> float:
+        """Stress over strain where no side can bulge, λ + 2 μ [Pa]."""
+        return self.lame_lambda + 2 * self.shear_modulus
+
 
 # Young's moduli of the paper's Table 1; butyl's density from its v_max of
 # 1098 cm³ for 1 kg.

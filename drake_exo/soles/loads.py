@@ -164,7 +164,8 @@ class Load:
                 + (
                     "turn all signs: forces are those of the ground on the sole"
                     if np.median(self.force[:, 2]) < 0.0
-                    else "leave the swing phase out"
+                    else "leave the swing phase out, and give each contact "
+                    "a load of its own"
                 )
             )
 
@@ -311,6 +312,22 @@ class Load:
                 "pattern least_share), or give a larger contact.friction"
             )
 
+    def check_pressed(self, force: float) -> None:
+        """Refuse an upward force of `force` [N] or more, for its unit.
+
+        Raises:
+            InputError: There is such a force; names the largest.
+        """
+        q = int(np.argmax(self.force[:, 2]))
+        most = float(self.force[q, 2])
+        if most >= force:
+            raise InputError(
+                f"{self.name}: the vertical force is {most:g} N at "
+                f"{self.times[q]:g} s; {force:.3g} N would press the whole "
+                "sole flat: check material.youngs_modulus_pa and the "
+                "load's units (forces are in N, not mN)"
+            )
+
     def bearable(self, friction: float, width: float, up) -> "Load":
         """The load with its free moments cut to what friction can bear.
 
@@ -455,13 +472,13 @@ def read_columns(
     """
     head, *lines = text_lines(path) or [""]
     names = [name.strip() for name in comma_separated(path, head)]
-    check_names(path, 1, names)
     missing = [name for name in needed if name not in names]
     if missing:
         raise InputError(
             f"{path}:1: column {missing[0]!r} is missing; the header must "
             f"name {', '.join(needed)}"
         )
+    check_names(path, 1, names)
     if not lines and may_be_empty:
         return {name: np.zeros(0) for name in names}
     whole = [k for k, n in enumerate(names) if used is None or n in used]

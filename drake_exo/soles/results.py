@@ -48,11 +48,12 @@ _NEAR_SLIP = 0.95  # largest part of μ that a load may use
 _LIGHT, _LONG = 5.0, 20.0
 _APART = 0.5  # largest excess over the usual spacing; a missing row makes it 1
 _UNDERCUT = 0.01  # largest part of the bare surface that faces upwards
+_ON_ITS_HEAD = 0.35  # more than this, which no design came to
 _LOST = 0.01  # largest part of a file's surface that is not in the mesh
 _COMPLEMENTARITY = 1e-6
 _NOT_SMALL = (
     "small strain does not hold so far; judge the sole in finite strain "
-    "(drake-exo sole strain)"
+    "(drake-exo sole strain, of its case file or the folder of its design)"
 )
 _TURNED_OVER = (
     "elements turn inside out, so that the figures mean nothing: the load is "
@@ -128,7 +129,8 @@ def _notes(step):
         "load_spacing", more <= _APART, more, _APART, "",
         f"samples are up to {1 + more:.3g} times as far apart as usual, and "
         "the time without samples counts for nothing in c_tr and c_rot; add "
-        "the missing rows, or space samples evenly",
+        "the missing rows, space samples evenly, or, where the foot was in "
+        "the air, give each contact a load of its own",
     )  # fmt: skip
     measured = load.is_measured
     if measured.any():
@@ -171,7 +173,8 @@ def _notes(step):
     yield (
         "undercut", undercut <= _UNDERCUT, undercut, _UNDERCUT, "",
         "this share of the bare surface faces upwards: a rigid mould that "
-        "opens upwards does not let go of the sole",
+        "opens upwards does not let go of the sole"
+        + (", which may stand on its head" if undercut > _ON_ITS_HEAD else ""),
     )  # fmt: skip
     if hollows := step.sole.mesh.hollows:
         yield (

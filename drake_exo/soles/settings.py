@@ -421,9 +421,9 @@ class Setup:
         See `Case.read` for the arguments.
 
         Raises:
-            InputError: A file cannot be read, the ZMP leaves the sole, or
-                the force leaves the friction cone; a fixed patch holds none
-                of the sole, or all of it.
+            InputError: A file cannot be read, the ZMP leaves the sole, the
+                force leaves the friction cone or would press the sole flat; a
+                fixed patch holds none of the sole, or all of it.
         """
         root, friction, ground = (
             path_of(data_root, "data_root"),
@@ -460,11 +460,14 @@ class Setup:
         """Refuse a load that no pose of the sole can carry.
 
         Raises:
-            InputError: The ZMP leaves the sole, or the force leaves the
-                friction cone.
+            InputError: The ZMP leaves the sole, the force leaves the friction
+                cone, or it would press the sole flat.
         """
         self.load.check_inside(self.level)
         self.load.check_friction(self.settings.contact.friction, self.up)
+        area = float(np.ptp(self.mesh.nodes[:, :2], axis=0).prod())
+        stiff = self.settings.material.material().confined_modulus
+        self.load.check_pressed(stiff * area)
 
     @property
     def gait(self) -> Gait | None:

@@ -49,6 +49,13 @@ def test_columns_of_loads(tmp_path, further, rows, words):
         read_csv(path)
 
 
+def test_numbers_in_place_of_a_header_are_no_repeated_names(tmp_path):
+    path = tmp_path / "l.csv"
+    path.write_text("0,0,0,300,0,0\n")
+    with pytest.raises(InputError, match="the header must name time_s"):
+        read_csv(path)
+
+
 def test_loads_without_weights_weigh_the_same(tmp_path):
     path = tmp_path / "l.csv"
     lines = [f"{k},0,0,300,0,0,{k // 2}" for k in range(4)]
@@ -74,6 +81,10 @@ def test_loads_with_clocks_of_their_own_follow_one_another(tmp_path):
     [
         ({"zmp": [[0.2, 0.0]] * 5}, "outside the sole by 85.0 mm at 0 s"),
         ({"force": [[390.0, 0, 400]] * 5}, "asks for a friction of 0.975"),
+        (
+            {"force": [[10.0, 0, 4.0e4]] * 4 + [[0.0, 0, 4.1e4]]},
+            r"at 0\.02 s; 4\.02e\+04 N would press the whole sole flat",
+        ),
     ],
 )
 def test_a_load_given_in_python_is_checked_as_a_file_s(changed, words):

@@ -114,6 +114,12 @@ def test_a_check_holds_up_to_its_limit(name, key, limit, level):
         assert bool(check.sentence) is not holds
 
 
+def test_a_sole_on_its_head_is_told():
+    for share, told in ((0.3, False), (0.4, True)):
+        check = _told(undercut=share)["plausibility.undercut"]
+        assert check.sentence.endswith("stand on its head") is told
+
+
 def test_a_closed_hollow_is_told():
     assert "plausibility.hollow" not in _told()
     check = _told(hollows=2)["plausibility.hollow"]
@@ -179,6 +185,7 @@ def test_rows_that_are_missing_are_told():
     assert not check.holds and check.level == "note"
     assert check.value == pytest.approx(1.0) and check.limit == 0.5
     assert "up to 2 times as far apart as usual" in check.sentence
+    assert "in the air, give each contact a load" in check.sentence
     # Several loads: what lies between them is no gap.
     both = np.append(times[8:], 9.0 + 0.001 * np.arange(5))
     phases = [slice(0, 31), slice(31, 36)]
