@@ -120,7 +120,8 @@ class MaterialBlock:
 class ContactBlock:
     """Friction of the contact, and the method that solves it."""
 
-    friction: float = positive("", 0.8)  # else nothing holds the foot
+    # Above 0, else nothing holds the foot.
+    friction: float = quantity("", 0.8, above=0.0, maximum=10.0)
     method: Literal["newton", "gauss_seidel"] = "newton"
 
 

@@ -53,9 +53,9 @@ class Robot:
 
     mass_kg: float = quantity("kg", 80.0, minimum=0.5)
     com_height_m: float = quantity("m", 0.8085, above=0.0, maximum=3.0)
-    step_length_m: float = positive("m", 0.2633)
-    step_width_m: float = positive("m", 0.162)
-    step_time_s: float = positive("s", 1.0)
+    step_length_m: float = quantity("m", 0.2633, above=0.0, maximum=3.0)
+    step_width_m: float = quantity("m", 0.162, above=0.0, maximum=3.0)
+    step_time_s: float = quantity("s", 1.0, above=0.0, maximum=20.0)
     double_support_s: float = positive("s", 0.195)
     back_m: float | None = None
     front_m: float | None = None

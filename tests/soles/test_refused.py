@@ -18,7 +18,13 @@ from drake_exo.soles.load_blocks import Constant
 from drake_exo.soles.loads import read_csv
 from drake_exo.soles.mesh import brick, read_mesh
 from drake_exo.soles.optimize.problem import ShapeProblem
-from drake_exo.soles.settings import MeshBlock, OptimizeBlock, ShapeBlock
+from drake_exo.soles.settings import (
+    ContactBlock,
+    MeshBlock,
+    OptimizeBlock,
+    ShapeBlock,
+)
+from drake_exo.soles.walking_pattern import Robot
 
 HEAD = "time_s,force_x_n,force_y_n,force_z_n,zmp_x_m,zmp_y_m"
 
@@ -116,6 +122,14 @@ def test_lengths_and_keys_of_a_case():
     text = "least_depth_m: 25"
     with pytest.raises(InputError, match="least_depth_m is 25, but must be be"):
         schema.load_text(text, ShapeBlock)
+    for text, block in (
+        ("step_time_s: 900", Robot),
+        ("step_length_m: 200", Robot),
+        ("step_width_m: 162", Robot),
+        ("friction: 80", ContactBlock),
+    ):
+        with pytest.raises(InputError, match="but must be at most"):
+            schema.load_text(text, block)
     with pytest.raises(InputError, match="tilt_deg is 100, but must be"):
         schema.load_text("tilt_deg: 100", OptimizeBlock)
     text = "fixed_m: [[[-115, -65, -30], [0, 65, 0]]]"
