@@ -66,7 +66,7 @@ class Load:
             then follows it and the force, not the ZMP. None means that the
             orientation follows from the ZMP.
         moments_cut: Number of samples whose free moment was cut to what
-            friction bears, see `bearable`.
+            friction bears, see `bearable`; in proportion after `at`.
         begins: Samples at which the foot is set down anew; the first is 0.
         weights: Weights in the cost of the contact phases that begin there.
     """
@@ -202,6 +202,7 @@ class Load:
         return replace(
             self,
             **{n: x[index] for n, x in arrays.items() if x is not None},
+            moments_cut=round(self.moments_cut * len(index) / len(self.times)),
             begins=tuple(map(int, begins)),
             weights=tuple(self.weights[k] for k in left),
         )

@@ -47,6 +47,7 @@ _NEAR_SLIP = 0.95  # largest part of μ that a load may use
 # Less force [N] or a longer contact [s] suggests other units.
 _LIGHT, _LONG = 5.0, 20.0
 _APART = 0.5  # largest excess over the usual spacing; a missing row makes it 1
+_CUT = 0.25  # largest part of a load's free moments that friction cuts
 _UNDERCUT = 0.01  # largest part of the bare surface that faces upwards
 _ON_ITS_HEAD = 0.35  # more than this, which no design came to
 _LOST = 0.01  # largest part of a file's surface that is not in the mesh
@@ -132,6 +133,14 @@ def _notes(step):
         "the missing rows, space samples evenly, or, where the foot was in "
         "the air, give each contact a load of its own",
     )  # fmt: skip
+    if load.free_moment is not None:
+        cut = load.moments_cut / len(load.times)
+        yield (
+            "free_moment", cut <= _CUT, cut, _CUT, "",
+            "at this share of the samples the free moment is beyond what "
+            "friction bears and was cut to that; moments are in N·m, not "
+            "N·mm, about the vertical at the ZMP",
+        )  # fmt: skip
     measured = load.is_measured
     if measured.any():
         error = step.zmp_error

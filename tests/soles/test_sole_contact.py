@@ -133,6 +133,8 @@ def test_moments_that_no_ground_bears_are_cut():
     cut = load.bearable(0.8, 0.12, up)
     np.testing.assert_allclose(cut.free_moment, [2.4, -0.6, 0.0])
     assert cut.moments_cut == 3
+    assert cut.at(np.arange(len(cut.times))).moments_cut == 3
+    assert cut.every(1).moments_cut < 2
     plain = as_load(force, np.zeros((3, 2)))
     assert plain.bearable(0.8, 0.1, up).moments_cut == 0
 

@@ -42,6 +42,8 @@ def _told(**changes):
         "times": [0.0, 0.1, 0.25],
         "pressed": 0.1,
         "phases": [slice(0, 3)],
+        "cut": 0,
+        "free_moment": None,
     } | changes
     step = SimpleNamespace(
         setup=SimpleNamespace(
@@ -50,6 +52,7 @@ def _told(**changes):
                 is_measured=made["measured"],
                 force=np.transpose([[0.0] * 3, [0.0] * 3, made["force_z"]]),
                 times=np.array(made["times"]), phases=made["phases"],
+                moments_cut=made["cut"], free_moment=made["free_moment"],
             ),
         ),
         law=SimpleNamespace(friction=0.8),
@@ -112,6 +115,16 @@ def test_a_check_holds_up_to_its_limit(name, key, limit, level):
         assert check.value == pytest.approx(factor * limit)
         assert check.limit == pytest.approx(limit)
         assert bool(check.sentence) is not holds
+
+
+def test_free_moments_beyond_friction_are_told():
+    assert "plausibility.free_moment" not in _told()
+    for cut, holds in ((0, True), (1, False)):
+        told = _told(free_moment=np.ones(3), cut=cut)
+        check = told["plausibility.free_moment"]
+        assert (check.holds, check.level) == (holds, "note")
+        assert check.value == pytest.approx(cut / 3)
+    assert "not N·mm" in check.sentence
 
 
 def test_a_sole_on_its_head_is_told():
