@@ -16,6 +16,7 @@ from drake_exo.files.tables import (
     comma_separated,
     number_rows,
     read_text,
+    shown,
 )
 from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.contact.newton import Target
@@ -424,6 +425,12 @@ def read_csv(path) -> Load:
     """
     used = (*CSV_COLUMNS, "free_moment_nm", "load", "weight")
     table = read_columns(path, CSV_COLUMNS, used)
+    for name in table:
+        if name.startswith("free_moment") and name not in used:
+            raise InputError(
+                f"{path}:1: column {shown(name)!r} would not be read; name it "
+                "free_moment_nm, in N·m"
+            )
     t, fx, fy, fz, zx, zy = (table[name] for name in CSV_COLUMNS)
     begins, weights = np.zeros(1, int), np.ones(1)
     if "load" in table:

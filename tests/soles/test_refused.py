@@ -41,6 +41,7 @@ def case(tmp_path):
     ("further", "rows", "words"),
     [
         ("force_z_n", "9", "two columns are named 'force_z_n'"),
+        ("free_moment", "1", "'free_moment' would not be read; name it"),
         ("load,weight", "1,1 0,1", "'load' has to count from 0 on"),
         ("load,weight", "0,1 1,1 0,1", "'load' has to count from 0 on"),
         ("load,weight", "0,1 1,0", "'weight' has to be above 0"),
