@@ -619,7 +619,9 @@ def lookup(tree, path) -> float | None:
 
 
 def parameters_table(parameters: list[dict]) -> str:
-    """Text table of a summary's parameters."""
+    """Text table of a summary's parameters; a phrase if there are none."""
+    if not parameters:
+        return "no parameters: the law of a sole is known"
     rows = [
         [
             p["name"],

@@ -119,6 +119,10 @@ def parameter(name="thigh.stiffness", **more):
     return {"name": name, "free": True, "at_bound": False, **usual, **more}
 
 
+def test_a_known_contact_has_no_table_of_parameters():
+    assert "no parameters" in gathering.parameters_table([])
+
+
 @pytest.mark.parametrize(
     ("more", "interval", "remark"),
     [
