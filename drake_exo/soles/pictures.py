@@ -354,7 +354,7 @@ def _underside(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
     """
     faces = mesh.contact_faces
     normal, size = mesh.areas(faces)
-    down = normal[:, 2] < -0.3 * size
+    down = normal[:, 2] < -0.05 * size
     down &= np.isin(faces, mesh.contact).all(axis=1)
     faces = faces[down]
     faces = faces[np.argsort(-mesh.nodes[faces, 2].sum(axis=1), kind="stable")]
