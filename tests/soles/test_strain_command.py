@@ -114,7 +114,8 @@ def test_whatever_the_elements_both_strains_are_in_linear_ones(tmp_path):
 
 def test_a_folder_without_designs_is_refused(tmp_path, capsys):
     assert cli.main(["sole", "strain", str(tmp_path)]) == 2
-    assert "holds no design" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "holds no design" in told and "also a case file" in told
 
 
 def test_pictures_are_drawn_again_from_the_folders(study, tmp_path):

@@ -309,7 +309,7 @@ def find_designs(folder: Path | str) -> list[StoredDesign]:
     if not names:
         raise InputError(
             f"{folder}: holds no design; give a folder that 'sole optimize' "
-            "or 'sole study' has written"
+            "or 'sole study' has written (to 'sole strain' also a case file)"
         )
     return [read_design(folder / name) for name in names]
 
