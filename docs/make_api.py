@@ -16,6 +16,15 @@ PAGES = (
     "drake_exo",
     "drake_exo.calibration.settings",
     "drake_exo.virtual_laboratory.synthetic",
+    # What public functions return, and what posed problems inherit.
+    "drake_exo.calibration.audit",
+    "drake_exo.calibration.problem",
+    "drake_exo.calibration.uncertainty",
+    "drake_exo.collocation.trial_program",
+    "drake_exo.contact.diagram",
+    "drake_exo.files.output",
+    "drake_exo.nlp.ipopt",
+    "drake_exo.nlp.program",
 )
 ROOMS = ("drake_exo.contact", "drake_exo.soles")
 
@@ -23,7 +32,15 @@ ROOMS = ("drake_exo.contact", "drake_exo.soles")
 def main(folder: str) -> None:
     """Write the pages."""
     for place in map(importlib.import_module, (*PAGES, *ROOMS)):
-        vars(place).update({n: getattr(place, n) for n in place.__all__})
+        for name in getattr(place, "__all__", ()):
+            thing = getattr(place, name)
+            setattr(place, name, thing)
+            # Drake names a template's instance after its scalar type, and pdoc
+            # documents a class only under its own name.
+            if getattr(thing, "__name__", "").startswith(f"{name}_𝓣"):
+                thing.__name__ = thing.__qualname__ = name
+                for own in [key for key in vars(thing) if key.startswith("To")]:
+                    delattr(thing, own)  # conversion to another scalar
     pdoc.pdoc(*PAGES, output_directory=Path(folder))
 
 

@@ -121,6 +121,16 @@ def test_the_page_of_all_names_is_made(tmp_path):
             page = tmp_path / f"{place}.html"
         text = page.read_text("utf-8")
         assert f'id="{last}"' in text, name
-        # With what it is, not the name alone; a template is a value.
+        # With what it is, not the name alone; a template has no source.
         if getattr(found(name), "__name__", "") == last:
             assert f"{last}-view-source" in text, name
+        else:
+            assert f'class="name">{last}</span><wbr>(' in text, name
+    # What a posed problem inherits, and what functions return.
+    problems = tmp_path / "drake_exo" / "calibration" / "problem.html"
+    assert 'id="PhaseProblem.solve"' in problems.read_text("utf-8")
+    assert "problem.html#PhaseProblem.solve" in (
+        tmp_path / "drake_exo.html"
+    ).read_text("utf-8")
+    diagrams = tmp_path / "drake_exo" / "contact" / "diagram.html"
+    assert "energies; input" in diagrams.read_text("utf-8")
