@@ -5,8 +5,8 @@
     model.plant.SetPositions(model.plant_context(simulator.get_context()), q)
     simulator.AdvanceTo(1.0)
 
-For AutoDiffXd or Expression build a second diagram without a meshcat: one
-that holds a meshcat cannot be converted to another scalar type.
+The diagram converts to AutoDiffXd and, without a meshcat, to Expression, if the
+controller and further forces that were given do.
 """
 
 import sys
@@ -57,7 +57,9 @@ class ExoskeletonDiagram:
         diagram: outputs state, ground_reaction, sphere_wrenches (both named
             ..._SEGMENT if several segments touch the ground) and, with
             bushings, interaction_forces, deflections, energies; input
-            joint_torques if there is no controller.
+            joint_torques [N·m] if there is no controller, zero where it is
+            not connected. What they hold is told by `FootGroundContact` and
+            `HumanExoskeletonBushings`; bushings are in the model's order.
         plant: finalized.
         contacts: segment that touches the ground -> its `FootGroundContact`.
         bushings: `HumanExoskeletonBushings`, None where there are none.
@@ -98,10 +100,12 @@ def build_diagram(
         controller: has the output port joint_torques [N·m], one for each
             hinge, and any of the inputs state, body_poses,
             body_spatial_velocities, ground_reaction, interaction_forces,
-            which are connected by name.
+            which are connected by name. Inputs of other names become inputs
+            of the diagram.
         forces: further systems with the output spatial_forces and inputs
             named as the controller's, such as a chair.
-        meshcat: where the motion is shown; it forbids scalar conversion.
+        meshcat: where the motion is shown; it forbids conversion to
+            Expression.
 
     Raises:
         InputError: parameters out of bounds, bushings of cuffs that the
@@ -350,9 +354,12 @@ def _connect(
         sources["joint_torques"] = controller.GetOutputPort("joint_torques")
         systems = [*systems, controller]
     for system in systems:
-        for name, port in sources.items():
-            if system.HasInputPort(name):
-                builder.Connect(port, system.GetInputPort(name))
+        for i in range(system.num_input_ports()):
+            port = system.get_input_port(i)
+            if port.get_name() in sources:
+                builder.Connect(sources[port.get_name()], port)
+            else:
+                builder.ExportInput(port, port.get_name())
     for name, port in sources.items():
         if name not in ("body_poses", "body_spatial_velocities"):
             builder.ExportOutput(port, name)

@@ -344,6 +344,25 @@ def test_ports_of_each_kind():
     assert free.bushings is None
 
 
+def test_other_inputs_of_a_controller_are_the_diagram_s():
+    class Asked(LeafSystem):
+        def __init__(self):
+            super().__init__()
+            self.DeclareVectorInputPort("state", 12)
+            self.DeclareVectorInputPort("wish", 3)
+            self.DeclareVectorOutputPort("joint_torques", 3, self._calc)
+
+        def _calc(self, context, output):
+            output.SetFromVector(self.GetInputPort("wish").Eval(context))
+
+    diagram = build_diagram(nominal_model("human"), controller=Asked()).diagram
+    assert diagram.num_input_ports() == 1
+    context = diagram.CreateDefaultContext()
+    diagram.GetInputPort("wish").FixValue(context, [1.0, 2.0, 3.0])
+    torques = diagram.GetOutputPort("joint_torques").Eval(context)
+    np.testing.assert_equal(torques, [1.0, 2.0, 3.0])
+
+
 def test_a_cuff_that_is_off_preloads_the_bushing():
     human = nominal_human()
     x, z = human.thigh_cuff_m
@@ -387,3 +406,4 @@ def test_meshcat_shows_the_simulation():
     )
     simulator.AdvanceTo(0.001)
     assert meshcat.HasPath("/drake/visualizer/human/pelvis")
+    model.diagram.ToAutoDiffXd()
