@@ -51,7 +51,7 @@ from drake_exo.contact.hunt_crossley import (
 )
 from drake_exo.contact.parameters import ContactSphere, GroundContact
 from drake_exo.contact.scalars import arctan2, sin
-from drake_exo.errors import InputError, check_fields
+from drake_exo.errors import InputError, check_fields, check_type
 
 
 def made_on_demand(scope: dict) -> Callable[[str], type]:
@@ -253,12 +253,28 @@ def ground_reaction(wrenches: Sequence[SphereWrench]) -> list:
     return [sum(values[1:], values[0]) for values in parts]
 
 
+def _index_of(body, what: str) -> BodyIndex:
+    """The index of a body, given as such or as a number.
+
+    Raises:
+        InputError: it is neither; it names the argument `what`.
+    """
+    try:
+        return BodyIndex(int(body))
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"{what} is {body!r:.60}; give its index in the plant, as "
+            "plant.GetBodyByName(...).index() returns it"
+        ) from error
+
+
 class _FootGroundContact:
     """The part of `FootGroundContact_` that is the same for all scalars."""
 
     def _declare(self, T, body: BodyIndex, parameters: GroundContact):
+        check_type(parameters, GroundContact, "parameters")
         self._T = T
-        self._body = body
+        self._body = _index_of(body, "body")
         self._parameters = parameters = parameters.checked()
         self.set_name("foot_ground_contact")
         declare_body_inputs(self, T)
@@ -417,7 +433,10 @@ class _Bushings:
             )
         _check_bushings(parameters)
         self._T = T
-        self._pairs = {name: tuple(pairs[name]) for name in parameters}
+        self._pairs = {
+            name: tuple(_index_of(b, f"pairs: {name}") for b in pairs[name])
+            for name in parameters
+        }
         self._parameters = dict(parameters)
         self.set_name("human_exoskeleton_bushings")
         declare_body_inputs(self, T)
@@ -660,13 +679,19 @@ class TrackingController(LeafSystem):
     Input state (q, v); output joint_torques, one for each hinge [N m].
 
     Args:
-        times: (n,) [s]; before and after them the ends are held.
+        times: (n,) increasing [s]; before and after them the ends are held.
         q, v, a: (n, nq) reference; v and a set the slopes between the times,
             so that interpolation asks for no speed that is not in it.
         torque: (n, n_joints) feed-forward [N m]; hinges are the last
             coordinates.
         stiffness: of the feedback [N m/rad].
         damping: of the feedback [N m s/rad].
+
+    It does not convert to other scalar types. To differentiate or linearise a
+    diagram, build it without and set its input joint_torques.
+
+    Raises:
+        InputError: an array has another shape, or times do not increase.
 
     >>> still = np.zeros((2, 6))
     >>> torque = still[:, 3:]
@@ -678,7 +703,18 @@ class TrackingController(LeafSystem):
     def __init__(self, times, q, v, a, torque, stiffness=500.0, damping=30.0):
         super().__init__()
         self.set_name("tracking_controller")
-        nq, n_joints = q.shape[1], torque.shape[1]
+        times, q, v, a, torque = map(np.asarray, (times, q, v, a, torque))
+        n, nq = len(times), q.shape[-1]
+        n_joints = nq - 3
+        shapes = {x.shape for x in (q, v, a)}, torque.shape
+        if shapes != ({(n, nq)}, (n, n_joints)):
+            told = ", ".join(str(x.shape) for x in (q, v, a, torque))
+            raise InputError(
+                f"q, v, a, torque have the shapes {told}; for {n} times they "
+                "have to be (n, nq) and, one for each hinge, (n, nq - 3)"
+            )
+        if not (np.diff(times) > 0.0).all():
+            raise InputError("times do not increase; sort the samples")
         hinges = slice(nq - n_joints, nq)
         q, v, a = (x[:, hinges] for x in (q, v, a))
         self._ends = times[0], times[-1]

@@ -28,7 +28,12 @@ from drake_exo.contact.bushing import (
 from drake_exo.contact.diagram import build_diagram
 from drake_exo.contact.hunt_crossley import sphere_wrench
 from drake_exo.contact.parameters import ContactModel, nominal_contact
-from drake_exo.contact.systems import TrackingController
+from drake_exo.contact.systems import (
+    FootGroundContact,
+    HumanExoskeletonBushings,
+    TrackingController,
+)
+from drake_exo.errors import InputError
 from drake_exo.model.plant import nominal_model
 
 LAWS = ("paper", "simbody")
@@ -247,3 +252,35 @@ def test_a_tracking_controller_is_torque_and_feedback():
         context.SetTime(time)
         state.FixValue(context, np.r_[q[k], v[k]])
         np.testing.assert_allclose(port.Eval(context), torque[k])
+
+
+def test_wrong_parts_of_a_system_are_told():
+    """Before a diagram is built of it, not by Drake at its first step."""
+    human = nominal_model("human")
+    ground = nominal_contact(human).ground
+    foot = human.plant().GetBodyByName("foot")
+    cuff = {"thigh": BushingParameters()}
+    still = np.zeros((2, 6))
+    for make, words in (
+        (lambda: FootGroundContact(foot, ground), "give its index"),
+        (
+            lambda: FootGroundContact(foot.index(), nominal_contact(human)),
+            "give a GroundContact",
+        ),
+        (
+            lambda: HumanExoskeletonBushings({"thigh": ("a", "b")}, cuff),
+            "pairs: thigh is 'a'; give its index",
+        ),
+        (
+            lambda: TrackingController([0, 1], *[still] * 3, still[:, 4:]),
+            r"\(2, 2\); for 2 times",
+        ),
+        (
+            lambda: TrackingController([1, 0], *[still] * 3, still[:, 3:]),
+            "do not increase",
+        ),
+    ):
+        with pytest.raises(InputError, match=words):
+            make()
+    lists = still.tolist()
+    TrackingController([0, 1], *[lists] * 3, still[:, 3:].tolist())
