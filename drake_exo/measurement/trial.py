@@ -3,12 +3,18 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from drake_exo.errors import InputError, check_bounds, check_type, path_of
+from drake_exo.errors import (
+    InputError,
+    check_bounds,
+    check_file_name,
+    check_type,
+    path_of,
+)
 from drake_exo.files.output import read_arrays, read_json, write_json
 from drake_exo.measurement.sagittal import PlanarWrench, fixed
 from drake_exo.model.coordinates import Coordinates
@@ -75,6 +81,7 @@ class Trial:
 
     Raises:
         InputError: a part is of another type, an array holds no real numbers,
+            times do not increase, the name cannot be part of a file's name,
             or the chair's share is not within 0 to 1.
         ValueError: an array has another shape.
 
@@ -155,6 +162,16 @@ class Trial:
         for name, part in parts.items():
             kind = kinds.get(name.partition(".")[0], PlanarWrench)
             check_type(part, kind, f"trial {self.name}: {name}")
+        check_type(self.name, str, "name")
+        check_file_name("a trial's name", self.name)
+        if self.source not in get_args(Source):
+            raise InputError(
+                f"trial {self.name}: source is {self.source!r}; give one of "
+                f"{', '.join(get_args(Source))}"
+            )
+        if self.mass_kg is not None:
+            bounds = {"above": 0.0, "unit": "kg"}
+            check_bounds(f"trial {self.name}: mass_kg", self.mass_kg, bounds)
         share, bounds = self.chair_on_thighs, {"minimum": 0.0, "maximum": 1.0}
         check_bounds(f"trial {self.name}: chair_on_thighs", share, bounds)
         columns = {
@@ -173,6 +190,11 @@ class Trial:
                     f"trial {self.name}: {name} has shape "
                     f"{array.shape}, not {wanted}"
                 )
+        if not len(self.times) or not (np.diff(self.times) > 0.0).all():
+            raise InputError(
+                f"trial {self.name}: times do not increase, or there are none; "
+                "sort the samples and give each one once"
+            )
 
     def __repr__(self) -> str:
         # Not the arrays: a notebook shows what its last line is.

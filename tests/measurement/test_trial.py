@@ -252,11 +252,21 @@ def test_shapes_are_checked(trial, changes, words):
         ({"coordinates": ("ankle",)}, "coordinates is .*give a Coordinates"),
         # More than the whole chair would act on the thighs.
         ({"chair_on_thighs": 2.0}, "chair_on_thighs is 2, but must be at most"),
+        ({"source": "mine"}, "source is 'mine'; give one of measured, solved"),
+        ({"mass_kg": "70"}, "mass_kg must be a number"),
+        ({"times": np.linspace(1.0, 0.0, 51)}, "times do not increase"),
+        ({"times": np.full(51, np.nan)}, "times do not increase"),
     ],
 )
 def test_parts_are_checked(trial, changes, words):
     with pytest.raises(InputError, match=f"trial rise1: .*{words}"):
         replace(trial, **changes)
+
+
+@pytest.mark.parametrize("name", ["box/lift", "", 3])
+def test_a_trial_has_a_name_for_its_files(trial, name):
+    with pytest.raises(InputError, match="name"):
+        replace(trial, name=name)
 
 
 def test_a_notebook_shows_a_line_not_the_arrays():
