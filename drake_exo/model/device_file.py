@@ -25,6 +25,7 @@ from drake_exo.model.description import numbers
 
 _KINDS = (".sdf", ".urdf")
 _STRAIGHT = 1e-5  # tolerated deviation of an axis from y, as of 3.1416 for pi
+_FAR_M = 5.0  # of a device from the person; more is in millimetres
 
 
 def with_text(assembly: Assembly, root: Path) -> Assembly:
@@ -542,7 +543,7 @@ def check_planar(plant: MultibodyPlant, device: DeviceFile) -> None:
 
     Raises:
         InputError: a joint is not revolute about y, or a moving link has no
-            mass or no inertia about its joint.
+            mass or no inertia about its joint, or lies far off the person.
     """
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, np.zeros(plant.num_positions()))
@@ -566,7 +567,17 @@ def check_planar(plant: MultibodyPlant, device: DeviceFile) -> None:
                 f"{axis[2]:.3g}), out of the sagittal plane, whose normal is "
                 "y; make it fixed"
             )
-        for end in (joint.child_body(), joint.parent_body()):
+        ends = joint.child_body(), joint.parent_body()
+        places = [frame.translation()]
+        for end in ends:
+            com = end.CalcCenterOfMassInBodyFrame(context)
+            places.append(end.EvalPoseInWorld(context) @ com)
+        if (far := max(map(np.linalg.norm, places))) > _FAR_M:
+            raise InputError(
+                f"{where}, or a link's centre of mass beside it, lies "
+                f"{far:.4g} m off the person; give the file's lengths in metres"
+            )
+        for end in ends:
             moved = plant.GetBodiesWeldedTo(end)
             if not sum(body.get_mass(context) for body in moved) > 0.0:
                 raise InputError(

@@ -146,6 +146,19 @@ def test_an_axis_may_leave_the_plane_s_normal_by_rounding(off, taken):
         edited(ANKLE, change).tree  # noqa: B018
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        ('xyz="0.02 0 0.16"', 'xyz="20 0 160"'),
+        ("<child", '<origin xyz="0 0 -420"/><child'),
+    ],
+)
+def test_a_device_in_millimetres_is_refused(change):
+    """Else Newton's law is missed, and the plates are blamed."""
+    with pytest.raises(InputError, match="give the file's lengths in metres"):
+        edited(ANKLE, change).tree  # noqa: B018
+
+
 def test_a_joint_that_counts_the_other_way_round():
     model = edited(ANKLE, ('xyz="0 1 0"', 'xyz="0 -1 0"'))
     assert model.coordinates.turned_by.tolist() == [[-1.0, 0.0, 0.0]]
