@@ -124,7 +124,7 @@ class StudyFile(RecordingSettings):
 
     def __post_init__(self):
         super().__post_init__()
-        for name in ("foot_ground", "interaction"):
+        for name in ("foot_ground", "interaction", "design"):
             _check_names(name, getattr(self, name), self.assembly)
 
 
@@ -134,14 +134,17 @@ def _check_names(phase: str, settings, model: Assembly) -> None:
         settings.law_constants()
         group = "spheres"
         own = [s for named in model.spheres.values() for s in named]
-    elif phase == "interaction":
+    elif phase in ("interaction", "design"):
         group, own = "cuffs", model.cuffs
     else:
         return
-    known = dict.fromkeys((*own, *map(without_side, own)))
+    known, keys = dict.fromkeys(own), ()
+    if phase != "design":  # which tells left from right
+        known |= dict.fromkeys(map(without_side, own))
+        keys = own_keys(settings)
     for key, given in (
         (f"{phase}.{group}", getattr(settings, group)),
-        (phase, own_keys(settings)),
+        (phase, keys),
     ):
         for name in given:
             if known and name not in known:

@@ -103,6 +103,13 @@ def test_data_root_must_be_a_folder(tmp_path):
             "interaction: {cuffs: {calv: {}}}",
             "interaction.cuffs: the model has no 'calv'; it has calf",
         ),
+        (  # Else told after minutes of calibrating.
+            "model: human",
+            "model: {device: {weld: {exo_foot: foot}}, "
+            "cuffs: {calf: {human: shank, device: exo_shank}}}\n"
+            "design: {cuffs: {calv: {}}}",
+            "design.cuffs: the model has no 'calv'; it has calf",
+        ),
         (
             "model: human",
             "model: {device: {weld: {exo_foot: foot}}, "
