@@ -510,7 +510,7 @@ class Designed:
         most = self.settings.limits.migration_mm
         for row in self.felt():
             value = row["after"]["migration_mm"]
-            if most is not None and value > (1.0 + _BOLD) * most:
+            if most is not None and value > _BEYOND * most:
                 yield note(
                     "design.migration",
                     value=value,

@@ -320,7 +320,7 @@ def test_checks_hold_the_numbers_of_the_tables(told):
     far = {c.where: c.value for c in found if c.name == "design.migration"}
     for row in told.felt():
         value = row["after"]["migration_mm"]
-        assert (row["cuff"] in far) == (value > 1.001)
+        assert (row["cuff"] in far) == (value > 1.02)
     assert far
     (check,) = (
         c for c in found if c.name == "design.extrapolation" and c.value
@@ -343,9 +343,9 @@ def test_a_forecast_may_be_off_by_a_tenth(told, monkeypatch):
 
 @pytest.mark.slow
 def test_a_migration_at_its_limit_is_within_it(made, felt, monkeypatch):
-    """To a thousandth."""
+    """To a fiftieth, like other limits: the forecast is off by a hundredth."""
     most = felt[0]["after"]["migration_mm"]
-    for share, told in ((1.0, False), (0.998, True)):
+    for share, told in ((1.0, False), (0.99, False), (0.97, True)):
         limits = DesignLimits(migration_mm=share * most)
         own = replace(made, settings=replace(SETTINGS, limits=limits))
         monkeypatch.setattr(Designed, "felt", lambda *_: felt[:1])
