@@ -85,7 +85,12 @@ from drake_exo.files.output import (
     write_json,
     write_text,
 )
-from drake_exo.measurement.plausibility import Evidence, plausibility, refuse
+from drake_exo.measurement.plausibility import (
+    Evidence,
+    made_checks,
+    plausibility,
+    refuse,
+)
 from drake_exo.measurement.processing import Recordings
 from drake_exo.measurement.quality import Quality, assess
 from drake_exo.measurement.settings import (
@@ -213,6 +218,7 @@ class Study:
         self.design = design
         self.filter = filter
         self._trials = as_trials(trials)
+        self._judged: dict[str, Trial] = {}
 
     def __setattr__(self, name: str, value: object) -> None:
         # A misspelt name would otherwise be set and never read.
@@ -276,7 +282,9 @@ class Study:
         """
         parts = (*_SETTINGS, *_PARTS)
         own = {name: getattr(self, name) for name in parts}
-        return Study(trials=trials, **own)
+        made = Study(trials=trials, **own)
+        made._judged |= self._judged
+        return made
 
     @property
     def ground(self) -> GroundContact | None:
@@ -286,14 +294,18 @@ class Study:
         return self.sole.ground(self.model, self.foot_ground.sole_at_m)
 
     def plausibility(self, use: Use | None = None) -> tuple[Check, ...]:
-        """Checks whether recordings are plausible for what they are taken for.
+        """Checks whether trials are plausible for what they are taken for.
 
-        Trials that are not cut from recordings are not checked.
+        Those that are not cut from recordings: by Newton's and Euler's law.
 
         Args:
             use: use of the trials to check; all by default.
         """
-        return ()
+        return self._judge(self.trials(use))
+
+    def _judge(self, trials: Sequence[Trial]) -> tuple[Check, ...]:
+        self._judged.update({trial.name: trial for trial in trials})
+        return tuple(c for t in trials for c in made_checks(self.model, t))
 
     def gate(
         self, use: Use | None = None, accepted: Sequence[str] = ()
@@ -308,8 +320,9 @@ class Study:
             InputError: a check fails that is not accepted.
 
         >>> from drake_exo.virtual_laboratory import synthetic
-        >>> Study(*synthetic.rises_on_spheres(1, nodes_per_second=40)).gate()
-        ()
+        >>> made = Study(*synthetic.rises_on_spheres(1, nodes_per_second=40))
+        >>> [check.name for check in made.gate()]
+        ['plausibility.newton', 'plausibility.euler']
         """
         checks = self.plausibility(use)
         refuse(checks, accepted, self.name)
@@ -319,6 +332,12 @@ class Study:
 
     def warn_of(self, trials: Sequence[Trial]) -> None:
         """Warn of trials that `gate` would refuse and has not yet checked."""
+        new = [t for t in trials if self._judged.get(t.name) is not t]
+        try:
+            refuse(self._judge(new) if new else (), (), self.name)
+        except InputError as error:
+            # Point to the line that called this method's caller.
+            warnings.warn(str(error), stacklevel=3)
 
     def calibrated(
         self,
@@ -378,7 +397,7 @@ class RecordedStudy(Study):
         self.prediction = file.prediction
         self.design = file.design
         self._loaded: dict[str, Trial] = {}
-        self._judged: set[str] = set()
+        self._judged: dict[str, Trial] = {}
 
     def __setattr__(self, name: str, value: object) -> None:
         again = name in ("file", "root") and name in vars(self)
@@ -450,33 +469,20 @@ class RecordedStudy(Study):
         """Quality of the recordings, without solving anything."""
         return assess(self.subject, self.trials(), self.plausibility())
 
-    def plausibility(self, use: Use | None = None) -> tuple[Check, ...]:
-        """See Study."""
-        return self._judge(self.trials(use))
-
-    def warn_of(self, trials: Sequence[Trial]) -> None:
-        """See Study."""
-        new = [
-            t
-            for t in trials
-            if self._loaded.get(t.name) is t and t.name not in self._judged
-        ]
-        checks = self._judge(new) if new else ()
-        try:
-            refuse(checks, (), self.name)
-        except InputError as error:
-            # Point to the line that called this method's caller.
-            warnings.warn(str(error), stacklevel=3)
-
     def _judge(self, trials: Sequence[Trial]) -> tuple[Check, ...]:
+        cut = [t for t in trials if self._loaded.get(t.name) is t]
+        checks = super()._judge([t for t in trials if t not in cut])
+        if not cut:
+            return checks
+        self._judged.update({trial.name: trial for trial in cut})
         evidence = [
             Evidence(f, trial, self.recordings.used(f), self.subject)
-            for trial in trials
+            for trial in cut
             for f in self.file.trials
             if f.name == trial.name
         ]
-        self._judged |= {trial.name for trial in trials}
-        return plausibility(self.subject, self.file.standing, evidence)
+        own = plausibility(self.subject, self.file.standing, evidence)
+        return (*own, *checks)
 
 
 def read_study(

@@ -31,6 +31,7 @@ from drake_exo.measurement.settings import Plates, Standing, TrialFiles
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import Trial, saw_device
 from drake_exo.model.assembly import SIDES
+from drake_exo.model.plant import Model
 from drake_exo.model.segments import LEG_JOINTS
 
 # Below this force a plate's centre of pressure is too uncertain to judge [N].
@@ -142,54 +143,16 @@ def _judged(
     )
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """What is judged: a trial, its files and the whole recording.
+class _Moved:
+    """A trial of a model: what its motion asks for, and what was measured."""
 
-    Attributes:
-        files: names of the trial's files.
-        trial: the used part, n samples.
-        recording: the recording from which it was cut, N samples.
-        subject: the subject's model, fitted to standing.
-    """
-
-    files: TrialFiles
     trial: Trial
-    recording: Recording
-    subject: SubjectModel
-
-    def check(
-        self,
-        name: str,
-        value: float,
-        sentence: str,
-        file: object = None,
-        **changed: Any,
-    ) -> Check:
-        """A check of this trial: by default that a value is within its limit.
-
-        Args:
-            name: key of `LIMITS`.
-            value: found.
-            sentence: message if it does not hold.
-            file: that the message names, if not the usual one.
-            changed: `holds`, if more than the limit decides; another `limit`;
-                or the `level` "note".
-        """
-        file = file or getattr(self.files, LIMITS[name][2])
-        where, told = self.trial.name, f"{file}: {sentence}"
-        return _judged(name, value, where, told, weight=self.weight, **changed)
+    model: Model
 
     @property
     def weight(self) -> float:
         """Weight of body and device together [N]."""
-        return self.subject.model.rigid.tree.weight
-
-    @cached_property
-    def inside(self) -> np.ndarray:
-        """Frames (N,) bool of the recording in the used part."""
-        start, duration = self.trial.start_s, self.trial.duration
-        return between(self.recording.motion.time, start, start + duration)
+        return self.model.rigid.tree.weight
 
     @property
     def body(self) -> list[np.ndarray]:
@@ -199,29 +162,15 @@ class Evidence:
             x[:, columns] for x in (self.trial.q, self.trial.v, self.trial.a)
         ]
 
-    def expected(self, body: np.ndarray) -> np.ndarray:
-        """Device's joint angles or speeds (n, joints), if it follows the body.
-
-        Args:
-            body: (n, nq) positions or velocities of the body.
-        """
-        names = self.trial.coordinates
-        return body[:, -len(names.human) :] @ names.turned_by.T
-
     @cached_property
     def needed(self) -> np.ndarray:
         """External F_x, F_z [N], M_y [N m] (n, 3) that the motion requires.
 
         About the laboratory's origin; feet, chair and loads together.
         """
-        tree = self.subject.model.rigid.tree
+        tree = self.model.rigid.tree
         Q = inverse_dynamics(tree, *self.body, {})
         return tree.ground_reaction(self.body[0], Q)
-
-    @cached_property
-    def needed_z(self) -> np.ndarray:
-        """Vertical force (N,) that the recording's motion requires [N]."""
-        return needed_force(self.subject.model.rigid, self.recording.motion)
 
     @cached_property
     def measured(self) -> np.ndarray:
@@ -246,6 +195,83 @@ class Evidence:
         F_x, F_z, moment = (self.needed - measured).T
         x, z = self.body[0][:, :2].T
         return float(np.sqrt(np.mean((moment - (z * F_x - x * F_z)) ** 2)))
+
+
+@dataclass(frozen=True)
+class Made(_Moved):
+    """A trial that is not cut from a recording."""
+
+    trial: Trial
+    model: Model
+
+    def check(self, name: str, value: float, sentence: str) -> Check:
+        """As `Evidence.check`, without a file."""
+        where, weight = self.trial.name, self.weight
+        return _judged(name, value, where, sentence, weight=weight)
+
+
+@dataclass(frozen=True)
+class Evidence(_Moved):
+    """What is judged: a trial, its files and the whole recording.
+
+    Attributes:
+        files: names of the trial's files.
+        trial: the used part, n samples.
+        recording: the recording from which it was cut, N samples.
+        subject: the subject's model, fitted to standing.
+    """
+
+    files: TrialFiles
+    trial: Trial
+    recording: Recording
+    subject: SubjectModel
+
+    @property
+    def model(self) -> Model:
+        """The subject's model."""
+        return self.subject.model
+
+    def check(
+        self,
+        name: str,
+        value: float,
+        sentence: str,
+        file: object = None,
+        **changed: Any,
+    ) -> Check:
+        """A check of this trial: by default that a value is within its limit.
+
+        Args:
+            name: key of `LIMITS`.
+            value: found.
+            sentence: message if it does not hold.
+            file: that the message names, if not the usual one.
+            changed: `holds`, if more than the limit decides; another `limit`;
+                or the `level` "note".
+        """
+        file = file or getattr(self.files, LIMITS[name][2])
+        where, told = self.trial.name, f"{file}: {sentence}"
+        return _judged(name, value, where, told, weight=self.weight, **changed)
+
+    @cached_property
+    def inside(self) -> np.ndarray:
+        """Frames (N,) bool of the recording in the used part."""
+        start, duration = self.trial.start_s, self.trial.duration
+        return between(self.recording.motion.time, start, start + duration)
+
+    def expected(self, body: np.ndarray) -> np.ndarray:
+        """Device's joint angles or speeds (n, joints), if it follows the body.
+
+        Args:
+            body: (n, nq) positions or velocities of the body.
+        """
+        names = self.trial.coordinates
+        return body[:, -len(names.human) :] @ names.turned_by.T
+
+    @cached_property
+    def needed_z(self) -> np.ndarray:
+        """Vertical force (N,) that the recording's motion requires [N]."""
+        return needed_force(self.subject.model.rigid, self.recording.motion)
 
     @cached_property
     def plates(self) -> dict[str, np.ndarray]:
@@ -761,15 +787,12 @@ def _floor(e: Evidence) -> Iterator[Check]:
         )
 
 
-def _dynamics(e: Evidence) -> Iterator[Check]:
-    missing = e.needed - e.measured
-    rms = np.sqrt(np.mean(missing**2, axis=0))
+def _laws(e: Evidence | Made, cause: str) -> Iterator[Check]:
+    """Newton's and Euler's law."""
+    rms = np.sqrt(np.mean((e.needed - e.measured) ** 2, axis=0))
     moment = e.pitch_error()
     force = float(rms[:2].max())
-    borne = float(np.mean(e.measured[:, 1]) / np.mean(e.needed[:, 1]))
-    unit = _unit_of(borne)
-    cause = unit or likely_cause(e) or "check plates, axes and clocks"
-    root = "hips" if e.subject.model.assembly.human.sides else "ankle"
+    root = "hips" if e.model.assembly.human.sides else "ankle"
     yield e.check(
         "newton",
         force,
@@ -780,6 +803,29 @@ def _dynamics(e: Evidence) -> Iterator[Check]:
         "euler",
         moment,
         f"Euler's law misses {moment:.0f} N m RMS about the {root}; {cause}",
+    )
+
+
+def made_checks(model: Model, trial: Trial) -> Iterator[Check]:
+    """Checks of a trial that is not cut from a recording: Newton's and Euler's.
+
+    None if it is of another model or holds NaN, which is refused elsewhere.
+    """
+    if trial.coordinates == model.coordinates and trial.not_finite() is None:
+        cause = (
+            "check signs and units of q, v, a and ground, and that the moments "
+            "of ground are about the origin of q; a chair or a load belongs "
+            "in chair or applied"
+        )
+        yield from _laws(Made(trial, model), cause)
+
+
+def _dynamics(e: Evidence) -> Iterator[Check]:
+    missing = e.needed - e.measured
+    borne = float(np.mean(e.measured[:, 1]) / np.mean(e.needed[:, 1]))
+    unit = _unit_of(borne)
+    yield from _laws(
+        e, unit or likely_cause(e) or "check plates, axes and clocks"
     )
     means = {"forward": (float(missing[:, 0].mean()), 0.0)}
     if not e.recording.forces.is_one_leg:

@@ -28,8 +28,10 @@ from drake_exo.files.opensim import (
 from drake_exo.files.tables import read_csv_table, write_csv_table
 from drake_exo.measurement import plausibility
 from drake_exo.measurement.plausibility import Evidence, misfit
+from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.model.segments import scale_human
-from drake_exo.study import read_study
+from drake_exo.study import Study, read_study
+from drake_exo.virtual_laboratory import synthetic
 
 
 @pytest.fixture(scope="module")
@@ -791,13 +793,30 @@ def test_a_device_that_nobody_measured_ends_before_anything_is_solved(
     assert "say 'model: human' if none was worn" in told
 
 
-def test_a_made_study_has_nothing_to_judge():
-    from drake_exo.virtual_laboratory import synthetic
-
-    model, trials = synthetic.rises_on_spheres(1, nodes_per_second=40)
-    from drake_exo.study import Study
-
-    assert Study(model, trials).gate() == ()
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        (lambda w: PlanarWrench(0.5 * w.force, 0.5 * w.moment), "newton"),
+        (lambda w: w.reversed(), "newton"),
+        (lambda w: w.shifted(0.3), "euler"),
+    ],
+)
+def test_trials_made_in_python_keep_newton_s_and_euler_s_law(change, name):
+    model, (trial,) = synthetic.rises_on_spheres(1, nodes_per_second=40)
+    made = Study(model, [trial])
+    newton, euler = made.gate()
+    assert newton.value < 2.0 and euler.value < 1.0
+    wrong = replace(trial, ground=change(trial.ground))
+    made = Study(model, [wrong])
+    with pytest.raises(InputError, match=rf"{name} \(rise1\): .*law misses"):
+        made.gate()
+    made = Study(model, [wrong])
+    with pytest.warns(UserWarning, match=rf"{name} \(rise1\)"):
+        made.warn_of([wrong])
+    made.warn_of([wrong])  # once
+    # What cannot be judged is refused elsewhere.
+    q = np.full_like(trial.q, np.nan)
+    assert Study(model, [replace(trial, q=q)]).gate() == ()
 
 
 @pytest.mark.slow
