@@ -689,14 +689,16 @@ def test_each_floor_starts_from_the_one_below(monkeypatch):
     )
 
     def minimise(problem, p, bounds, iterations, tolerance, note, **more):
+        number = len(calls)
         calls.append((problem, p, iterations, more["hessian_approximation"]))
         if "c_rot" in problem.limited:
             floors.append(problem.limited["c_rot"].keywords["least"])
-        return Optimum(p * ends[len(calls) - 1], error=0.25, violation=0.125)
+        end = ends[number] if number < len(ends) else 1.0
+        return Optimum(p * end, error=0.25, violation=0.125)
 
     monkeypatch.setattr(search, "minimise", minimise)
-    points = search.pareto_front(case, [0.9, 0.6], None, stages)
-    assert [point["floor"] for point in points] == [0.6, 0.9]
+    points = search.pareto_front(case, [0.86, 0.6], None, stages)
+    assert [point["floor"] for point in points] == [0.6, 0.86]
     own, low, high = calls
     assert (own[2], low[2], high[2]) == (3, 4, 4)
     assert own[3] is not low[3] and low[3] is high[3]
@@ -705,7 +707,7 @@ def test_each_floor_starts_from_the_one_below(monkeypatch):
     assert own[0].weight == case.settings.cost.weight
     assert low[0].weight == high[0].weight == 0.0
     c_rot = low[0].first.c_rot
-    np.testing.assert_allclose(floors, [0.606 * c_rot, 0.909 * c_rot])
+    np.testing.assert_allclose(floors, [0.606 * c_rot, 0.8686 * c_rot])
     assert len(own[0].mesh.tets) == 144 and len(low[0].mesh.tets) == 36
     # By the exact law, on the mesh of the points.
     for point, factor in zip(points, (0.99, 0.99 * 1.01), strict=True):
@@ -722,32 +724,51 @@ def test_each_floor_starts_from_the_one_below(monkeypatch):
         ratio = found.c_rot / base.c_rot
         assert point["ratio_rot"] == pytest.approx(ratio, rel=1e-6)
         assert point["optimality_error"] == 0.25
-        assert (point["violation"], point["failed_steps"]) == (0.125, 0)
+        assert (point["violation"], point["failed_steps"]) == (0.0, 0)
     # A thinner one is softer: where it keeps its floor, the lower one as well.
-    for lower, replaced in ((0.6, True), (2.0, False)):
+    calls.clear()
+    ends[2] = 0.98
+    below, above = search.pareto_front(case, [0.6, 0.7], None, stages)
+    assert (below["floor"], above["floor"]) == (0.6, 0.7)
+    assert below["coefficients"] is above["coefficients"]
+    # Floors that are not kept are sought again from large c_rot downwards, and
+    # the design of largest c_rot stands for what nothing keeps.
+    for grown, again in ((1.0, [3.0]), (1.05, [3.0, 0.6])):
         calls.clear()
-        ends[2] = 0.98
-        below, above = search.pareto_front(case, [lower, 3.0], None, stages)
-        assert (below["floor"], above["floor"]) == (lower, 3.0)
-        is_same = below["coefficients"] is above["coefficients"]
-        assert is_same is replaced
-        assert (below["c_tr"] <= above["c_tr"]) is replaced
+        floors.clear()
+        ends[1:] = [grown] * 2  # by 5 % it is too heavy, which keeps nothing
+        below, above = search.pareto_front(case, [0.6, 3.0], None, stages)
+        sought = np.array([0.6, 3.0, *again])
+        np.testing.assert_allclose(floors, 1.01 * c_rot * sought)
+        large, first = calls[3:5]
+        assert large[0].weight == 1000.0 and large[2] == 3
+        np.testing.assert_array_equal(large[1], own[1])
+        np.testing.assert_array_equal(first[1], large[1])
+        assert first[3] is not calls[1][3] and first[0].weight == 0.0
+        assert above["floor"] == 3.0
+        np.testing.assert_array_equal(above["coefficients"], own[1])
+        assert (below["coefficients"] is above["coefficients"]) is (grown > 1)
 
 
 def test_no_point_of_a_front_is_behind_another():
     """Neither one that keeps its floor, nor one that misses it or fails."""
     lines = [
-        (0.6, 0.5, 0.9, 1),  # floor, c_tr, c_rot, which one stands for it
-        (0.7, 0.4, 0.75, 1),
-        (0.8, 0.6, 0.82, 0),
-        (1.4, 0.9, 1.2, 4),  # misses its floor, as does the better next one
-        (1.5, 0.8, 1.3, 4),
-        (0.85, 0.1, np.nan, 0),
-        (2.0, np.nan, np.nan, 6),
+        (0.6, 0.5, 0.9, 0.0, 1),  # floor, c_tr, c_rot, violation, which one
+        (0.7, 0.4, 0.75, 0.0, 1),  # stands for it
+        (0.8, 0.6, 0.82, 0.0, 0),
+        (0.85, 0.1, np.nan, 0.0, 0),
+        (0.9, 0.3, 0.95, 0.1, 0),  # violates another limit
+        (1.4, 0.9, 1.2, 0.0, 6),  # misses its floor, as does the better next
+        (1.5, 0.8, 1.3, 0.0, 6),
+        (1.6, 0.8, 1.7, 0.1, 6),
+        (2.0, np.nan, np.nan, 0.0, 6),
     ]
     found = [
-        {"floor": floor, "ratio_tr": tr, "ratio_rot": rot, "number": k}
-        for k, (floor, tr, rot, _) in enumerate(lines)
-    ]
-    for own, (floor, *_, best) in zip(found, lines, strict=True):
-        assert search._best(found, own) == found[best] | {"floor": floor}
+        {
+            "floor": floor, "ratio_tr": tr, "ratio_rot": rot,
+            "violation": violation, "number": k,
+        }
+        for k, (floor, tr, rot, violation, _) in enumerate(lines)
+    ]  # fmt: skip
+    wanted = [found[line[-1]] | {"floor": line[0]} for line in lines]
+    assert search._best(found) == wanted
