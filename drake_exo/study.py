@@ -73,6 +73,7 @@ from drake_exo.errors import (
     InputError,
     check_bounds,
     check_data_root,
+    check_file_name,
     check_type,
     nearest,
     path_of,
@@ -217,7 +218,7 @@ class Study:
         self.prediction = prediction
         self.design = design
         self.filter = filter
-        self._trials = as_trials(trials)
+        self._trials = _given(trials)
         self._judged: dict[str, Trial] = {}
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -867,6 +868,14 @@ def _named(trials) -> str:
     return f"{count}: {', '.join(t.name for t in trials)}"
 
 
+def _given(trials) -> tuple[Trial, ...]:
+    """As `as_trials`; their names must serve for files of results, too."""
+    found = as_trials(trials)
+    for trial in found:
+        check_file_name("a trial's name", trial.name)
+    return found
+
+
 def calibrate_foot_ground(
     study: Study,
     trials: Sequence[Trial] | None = None,
@@ -896,9 +905,7 @@ def calibrate_foot_ground(
     (True, 'm')
     """
     check_type(study, Study, "study")
-    trials = (
-        study.trials("calibration") if trials is None else as_trials(trials)
-    )
+    trials = study.trials("calibration") if trials is None else _given(trials)
     study.warn_of(trials)
 
     def pose(refined):
@@ -943,9 +950,7 @@ def calibrate_interaction(
     """
     check_type(study, Study, "study")
     check_has_cuffs(study.model)
-    trials = (
-        study.trials("calibration") if trials is None else as_trials(trials)
-    )
+    trials = study.trials("calibration") if trials is None else _given(trials)
     check_is_measured(trials)
     study.warn_of(trials)
     if contact is None:
@@ -1068,7 +1073,7 @@ def predict(
             f"scale_interaction is {scale_interaction:g}, but the study's "
             f"model '{study.model.name}' has no cuffs; leave it out"
         )
-    study.warn_of(as_trials([trial]))
+    study.warn_of(_given([trial]))
     if near is not None:
         check_type(near, Prediction, "near")
     known = study.worn(contact)

@@ -725,7 +725,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ('"c_tr_sole_alone": own.c_tr', '"c_tr_sole_alone": design.step.c_tr'),
         ("range(found.stage, len", "range(len(found.optima), len"),
         ("return -self.stage, *self", "return 0, *self"),
-        ('min(own["floor"], own["ratio_rot"])', 'own["floor"]'),
+        ('if name != "c_rot")', ")"),
+        ("sweep(weighing(_STEADY)", "sweep(free"),
         ("return not one.verdict().holds, one", "return one"),
     ],
     "drake_exo/soles/pictures.py": [

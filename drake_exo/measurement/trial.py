@@ -8,13 +8,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from drake_exo.errors import (
-    InputError,
-    check_bounds,
-    check_file_name,
-    check_type,
-    path_of,
-)
+from drake_exo.errors import InputError, check_bounds, check_type, path_of
 from drake_exo.files.output import read_arrays, read_json, write_json
 from drake_exo.measurement.sagittal import PlanarWrench, fixed
 from drake_exo.model.coordinates import Coordinates
@@ -81,8 +75,7 @@ class Trial:
 
     Raises:
         InputError: a part is of another type, an array holds no real numbers,
-            times do not increase, the name cannot be part of a file's name,
-            or the chair's share is not within 0 to 1.
+            times do not increase, or the chair's share is not within 0 to 1.
         ValueError: an array has another shape.
 
     Attributes:
@@ -163,7 +156,6 @@ class Trial:
             kind = kinds.get(name.partition(".")[0], PlanarWrench)
             check_type(part, kind, f"trial {self.name}: {name}")
         check_type(self.name, str, "name")
-        check_file_name("a trial's name", self.name)
         if self.source not in get_args(Source):
             raise InputError(
                 f"trial {self.name}: source is {self.source!r}; give one of "

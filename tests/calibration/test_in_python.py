@@ -157,6 +157,19 @@ def test_no_movement_counts_twice(made):
         dx.InteractionCalibration(made.model, again, made.contact)
 
 
+@pytest.mark.parametrize("name", ["box/lift", ""])
+def test_a_trial_has_a_name_for_its_files(made, name):
+    study = dx.Study(made.model, made.trials)
+    odd = replace(made.trials[0], name=name)
+    for ask in (
+        lambda: dx.Study(made.model, [odd]),
+        lambda: dx.calibrate_foot_ground(study, [odd]),
+        lambda: dx.predict(study, odd, made.contact),
+    ):
+        with pytest.raises(InputError, match="a trial's name is"):
+            ask()
+
+
 def test_a_controller_of_the_device_alone_is_sent_to_predict(made):
     controller = dx.AssistController(knee_nm=10.0)
     with pytest.raises(InputError, match="AssistController, is for predict"):
