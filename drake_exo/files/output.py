@@ -618,6 +618,8 @@ class Verdict:
     def text(self, color: bool | None = None) -> str:
         """The verdict as lines: one per kind that holds, one per failure.
 
+        Failures of one name and sentence share a line.
+
         Args:
             color: whether failures are red; by default on a terminal.
         """
@@ -625,10 +627,10 @@ class Verdict:
         lines = [f"verdict: {self.word}"]
         lines += [f"  {line}" for line in _aligned(_holding(self.checks))]
         notes = [c for c in self.checks if c.level == "note" and not c.holds]
-        lines += [f"  note  {_told(c)}" for c in notes]
-        for c in self.failing:
-            accepted = is_accepted(c.name, self.accepted)
-            line = f"  {'accepted' if accepted else 'FAILS'}  {_told(c)}"
+        lines += [f"  note  {told}" for _, told in _told(notes)]
+        for name, told in _told(self.failing):
+            accepted = is_accepted(name, self.accepted)
+            line = f"  {'accepted' if accepted else 'FAILS'}  {told}"
             lines.append(f"{_RED}{line}{_PLAIN}" if color else line)
         names = [c.name for c in self.checks]
         lines += [
@@ -781,16 +783,25 @@ def is_accepted(name: str, accepted: Iterable[str]) -> bool:
     )
 
 
-def _short(check: Check) -> str:
-    parts = [check.where, _amount(check.value, check.unit)]
-    if check.limit is not None:
-        parts.append(f"limit {_amount(check.limit, check.unit)}")
-    inside = ", ".join(p for p in parts if p)
-    return f"{check.name} ({inside})" if inside else check.name
+def _short(*checks: Check) -> str:
+    """Checks of one name, in short."""
+    found = []
+    for check in checks:
+        parts = [check.where, _amount(check.value, check.unit)]
+        if check.limit is not None:
+            parts.append(f"limit {_amount(check.limit, check.unit)}")
+        found.append(", ".join(p for p in parts if p))
+    inside = "; ".join(filter(None, found))
+    return f"{checks[0].name} ({inside})" if inside else checks[0].name
 
 
-def _told(check: Check) -> str:
-    return f"{_short(check)}{': ' if check.sentence else ''}{check.sentence}"
+def _told(checks: Iterable[Check]) -> Iterator[tuple[str, str]]:
+    """Name and line of checks that have name and sentence in common."""
+    groups: dict[tuple[str, str], list[Check]] = {}
+    for check in checks:
+        groups.setdefault((check.name, check.sentence), []).append(check)
+    for (name, sentence), group in groups.items():
+        yield name, f"{_short(*group)}{': ' if sentence else ''}{sentence}"
 
 
 def _amount(value: float | None, unit: str) -> str:

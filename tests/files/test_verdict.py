@@ -77,6 +77,21 @@ def test_a_ratio_is_told_without_a_unit():
     assert "note  a (hip, 1.3, limit 2)" in made.text()
 
 
+def test_failures_with_one_sentence_share_a_line():
+    """A design's six cuffs said the same thing six times."""
+    far = [
+        Check("far", False, value, 1.0, "m", cuff, "nothing known", level)
+        for level in ("note", "fail")
+        for cuff, value in (("calf", 2.0), ("thigh", 3.0))
+    ]
+    other = Check("far", False, where="hip", sentence="loose")
+    text = Verdict((*far, other), ("far",)).text(color=False)
+    both = "far (calf, 2 m, limit 1 m; thigh, 3 m, limit 1 m): nothing known"
+    assert text.splitlines()[1:] == [
+        f"  note  {both}", f"  accepted  {both}", "  accepted  far (hip): loose"
+    ]  # fmt: skip
+
+
 def test_of_many_that_hold_the_nearest_to_its_limit_is_told():
     checks = [
         Check("audit", True, value, 1.0, "N", f"rise{i}")
