@@ -297,7 +297,8 @@ class Study:
     def plausibility(self, use: Use | None = None) -> tuple[Check, ...]:
         """Checks whether trials are plausible for what they are taken for.
 
-        Those that are not cut from recordings: by Newton's and Euler's law.
+        Those that are not cut from recordings are judged by Newton's and
+        Euler's law alone.
 
         Args:
             use: use of the trials to check; all by default.

@@ -813,9 +813,9 @@ def made_checks(model: Model, trial: Trial) -> Iterator[Check]:
     """
     if trial.coordinates == model.coordinates and trial.not_finite() is None:
         cause = (
-            "check signs and units of q, v, a and ground, and that the moments "
-            "of ground are about the origin of q; a chair or a load belongs "
-            "in chair or applied"
+            "check the model's mass, signs and units of q, v, a and ground, "
+            "and that moments are about the origin; a chair or a load that "
+            "acts belongs in chair or applied"
         )
         yield from _laws(Made(trial, model), cause)
 
@@ -1599,5 +1599,6 @@ def refuse(checks: Iterable[Check], accepted: Iterable[str], study: str | Path):
     raise InputError(
         f"{study}: recordings are not plausible: {'; '.join(told)}; correct "
         f"them, see all with 'drake-exo check', or take them with {names} (in "
-        f"Python: study.gate(accepted={list(first)}) before)"
+        f"Python: study.plausibility(), study.gate(accepted={list(first)}) "
+        "before)"
     )
