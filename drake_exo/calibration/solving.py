@@ -112,7 +112,7 @@ def solve(
 
     Raises:
         InputError: the checkpoint belongs to another problem, or is damaged;
-            or see `infeasibility.check`.
+            `resume` without a folder; or see `infeasibility.check`.
     """
     problem = pose(near.problem.refined if near else {})
     result = _solve_first(problem, title, folder, resume, near)
@@ -201,6 +201,8 @@ def _solve_first(
 ) -> PhaseResult:
     """Solve on the settings' grid, with a checkpoint in `folder`."""
     if folder is None:
+        if resume:
+            raise InputError("resume goes on from folder; give that, too")
         return problem.solve(on_iterate=SolveWatch(title), near=near)
     folder = path_of(folder, "folder")
     folder.mkdir(parents=True, exist_ok=True)

@@ -82,6 +82,9 @@ def plot_trials(
         "interaction" and "moments" (not of a person and a device that do not
         touch, as in Phase A: theirs mean nothing).
 
+    Raises:
+        InputError: `found` and `measured` are not the same trials.
+
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> model, trials = synthetic.rises_on_spheres(1, nodes_per_second=40)
     >>> list(plot_trials(trials, trials))
@@ -93,6 +96,12 @@ def plot_trials(
         raise InputError(
             f"there are {len(found)} trials found and {len(measured)} "
             "measured; give as many of each, and one at least"
+        )
+    names = [[trial.name for trial in run] for run in (found, measured)]
+    if names[0] != names[1]:
+        raise InputError(
+            f"trials found are {', '.join(names[0])}, but measured are "
+            f"{', '.join(names[1])}; give the same in the same order"
         )
     runs: Runs = {"model": found}
     if any(t is not None for t in uncalibrated):

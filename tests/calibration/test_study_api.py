@@ -333,6 +333,10 @@ def test_input_of_the_api_is_told(study, made):
         dx.calibrate_interaction(study, ["a"], made.contact)
     with pytest.raises(dx.InputError, match="0 trials found and 1 measured"):
         dx.plot_trials([], [trial])
+    with pytest.raises(dx.InputError, match="found are a, but measured are ri"):
+        dx.plot_trials([replace(trial, name="a")], [trial])
+    with pytest.raises(dx.InputError, match="resume goes on from folder"):
+        dx.predict(study, trial, made.contact, resume=True)
     with pytest.raises(dx.InputError, match="give a Sequence"):
         dx.plot_trials(trial, trial)
     with pytest.raises(dx.InputError, match=r"model is .*give a Exo"):
