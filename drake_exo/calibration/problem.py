@@ -604,7 +604,8 @@ class PhaseProblem(Compiles, ABC):
         """Check the guess, solve, and collect the result.
 
         Args:
-            guess: program variables to start from; `guess()` by default.
+            guess: (num_vars,) program variables to start from; `guess()` by
+                default.
             on_iterate: called once for each iteration.
             near: solution on another grid, or with another contact, to start
                 from instead.

@@ -579,7 +579,7 @@ class Unknowns:
 
         Distances of substituted variables count in units of their accuracy.
         """
-        direct, rows = self._direct, self.substituted
+        x, direct, rows = np.asarray(x), self._direct, self.substituted
         y = np.zeros(self.count)
         y[: len(direct)] = x[direct] / self.scale[direct]
         if len(rows):

@@ -174,6 +174,7 @@ def test_fixed_variables_leave_and_scaling_is_undone():
     values = problem.expand(_point(problem))
     assert values[program.indices(p)[1]] == 0.7
     y = problem.restrict(values)
+    assert np.array_equal(problem.restrict(list(values)), y)  # any sequence
     np.testing.assert_allclose(problem.expand(y), values, atol=1e-12)
     ones = np.zeros(program.prog.num_vars())
     ones[program.indices(x[:, 1])] = 10.0
