@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_exo.errors import InputError, path_of
+from drake_exo.errors import InputError, check_type, path_of
 from drake_exo.files.output import (
     SOLVED,
     Check,
@@ -610,6 +610,8 @@ class Step:
         # matplotlib takes half a second to load.
         from drake_exo.soles import pictures
 
+        for name, step in beside.items():
+            check_type(step, Step, name)
         steps = beside | {label or self.setup.name: self}
         curves = {
             label: (s.times, s.sigma_max_translation, s.sigma_min_rotation)

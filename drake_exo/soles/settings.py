@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from drake_exo.errors import InputError, check_data_root, path_of
+from drake_exo.errors import InputError, check_data_root, check_type, path_of
 from drake_exo.files import schema
 from drake_exo.files.output import checksum
 from drake_exo.files.schema import (
@@ -461,9 +461,10 @@ class Setup:
         """Refuse a load that no pose of the sole can carry.
 
         Raises:
-            InputError: The ZMP leaves the sole, the force leaves the friction
-                cone, or it would press the sole flat.
+            InputError: It is no load, the ZMP leaves the sole, the force
+                leaves the friction cone, or it would press the sole flat.
         """
+        check_type(self.load, Load, "load")
         self.load.check_inside(self.level)
         self.load.check_friction(self.settings.contact.friction, self.up)
         area = float(np.ptp(self.mesh.nodes[:, :2], axis=0).prod())

@@ -102,6 +102,14 @@ def test_a_load_given_in_python_is_checked_as_a_file_s(changed, words):
             run()
 
 
+def test_parts_of_another_type_in_python():
+    case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    with pytest.raises(InputError, match=r"load is array.* give a Load"):
+        replace(case, load=np.zeros((3, 6))).simulate()
+    with pytest.raises(InputError, match="other is 3; give a Step"):
+        case.simulate().plot(other=3)
+
+
 def test_ground_in_millimetres():
     x, y = (v.ravel() for v in np.meshgrid(*[50.0 * np.arange(5)] * 2))
     table = {"x_m": x, "y_m": y, "z_m": 0.0 * x}
