@@ -1321,12 +1321,18 @@ def force_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
     fits = np.array([[force_misfit(e, o) for o in evidence] for e in evidence])
     for i, e in enumerate(evidence):
         lag, better = _best_lag(missed[i], _BETTER)
+        lifted = any(
+            np.isfinite(load.carried_s).any() for load in e.files.loads
+        )
         yield e.check(
             "force_clock",
             abs(lag),
             f"forces fit the motion {better:.1f} times better if they are "
-            f"taken as {lag:+.0f} ms late; the plates' clock is not the "
-            "markers' (laboratory.estimate_force_delay)",
+            f"taken as {lag:+.0f} ms late; "
+            + "loads are not carried from from_s to to_s, or "
+            * lifted
+            + "the plates' clock is not the markers' "
+            "(laboratory.estimate_force_delay)",
         )
         others = [
             j

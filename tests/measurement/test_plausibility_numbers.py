@@ -1,5 +1,6 @@
 """Values of the checks, of recordings whose arrays are made up by hand."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +13,7 @@ from drake_exo.measurement.filters import MarkerFault, leaps, standstills
 from drake_exo.measurement.plausibility import Evidence
 from drake_exo.measurement.recording import FootForces
 from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.settings import Load
 
 WEIGHT = 700.0
 N = 50
@@ -25,7 +27,9 @@ def made(**motion) -> Evidence:
     sides = motion.pop("sides", ())
     named = "ankle", "knee", "hip"
     e = Evidence(
-        SimpleNamespace(markers="m.trc", forces="f.mot", encoders="e.csv"),
+        SimpleNamespace(
+            markers="m.trc", forces="f.mot", encoders="e.csv", loads=()
+        ),
         SimpleNamespace(
             name="one",
             start_s=1.5,
@@ -757,6 +761,15 @@ def test_plates_with_another_clock():
         "force_clock",
     )
     assert found == (0.0, 25.0, True)
+
+
+def test_a_late_force_may_be_a_load_that_is_lifted_at_another_time():
+    late = borne("a", swing(90.0), 0.06)
+    box = Load("pelvis", mass_kg=10.5, at_m=(0.3, 0.2))
+    for load, told in ((box, False), (replace(box, from_s=1.0), True)):
+        late.files.loads = (load,)
+        (check,) = plausibility.force_checks([late])
+        assert ("not carried from from_s to to_s" in check.sentence) == told
 
 
 def test_plates_of_another_trial():
