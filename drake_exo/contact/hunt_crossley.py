@@ -246,6 +246,9 @@ def sphere_force(
 ):
     """Normal force and friction of one or many spheres.
 
+    All but law and constants are numbers (also AutoDiffXd or Expression) or
+    arrays of them, but no lists.
+
     Args:
         law: "paper" or "simbody".
         indentation: Depth of the sphere's lowest point under z = 0 [m].

@@ -684,8 +684,8 @@ class TrackingController(LeafSystem):
             so that interpolation asks for no speed that is not in it.
         torque: (n, n_joints) feed-forward [N m]; hinges are the last
             coordinates.
-        stiffness: of the feedback [N m/rad].
-        damping: of the feedback [N m s/rad].
+        stiffness: of the feedback [N m/rad]; one, or (n_joints,) each.
+        damping: of the feedback [N m s/rad]; likewise.
 
     It does not convert to other scalar types. To differentiate or linearise a
     diagram, build it without and set its input joint_torques.

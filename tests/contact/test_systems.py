@@ -284,3 +284,15 @@ def test_wrong_parts_of_a_system_are_told():
             make()
     lists = still.tolist()
     TrackingController([0, 1], *[lists] * 3, still[:, 3:].tolist())
+
+
+def test_each_hinge_has_its_own_feedback():
+    still = np.zeros((2, 6))
+    controller = TrackingController(
+        [0, 1], *[still] * 3, still[:, 3:], [1, 2, 3], [4, 5, 6]
+    )
+    context = controller.CreateDefaultContext()
+    state = np.r_[0, 0, 0, 0.1, 0.1, 0.1, 0, 0, 0, 1, 1, 1]
+    controller.GetInputPort("state").FixValue(context, state)
+    torques = controller.GetOutputPort("joint_torques").Eval(context)
+    np.testing.assert_allclose(torques, [-4.1, -5.2, -6.3])
