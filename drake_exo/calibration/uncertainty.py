@@ -38,8 +38,8 @@ from drake_exo.nlp.sensitivity import Optimum, Response, response
 from drake_exo.nlp.sparse import SparseProgram
 
 QUANTILE_95 = 1.959964
-# A parameter is identifiable if its standard deviation is below this share of
-# its prior's; without a prior, of a quarter of its range.
+# Of an identifiable parameter the standard deviation is below this share of its
+# prior's; without a prior, of a quarter of its range.
 _IDENTIFIABLE = 0.5
 _LAW_SHARE, _LAW_ORIGIN_M = 0.25, 0.01  # see `_law`
 _FREQUENCIES_PER_CYCLE = 4  # spacing of frequencies: a quarter of 1/duration
@@ -57,6 +57,8 @@ class Uncertainty:
         prior_sd: (m,) sd of the prior, at most a quarter of the range.
         at_bound: (m,) bool; nothing else is known of a parameter at a bound.
         law: (m,) standard deviation because a real cuff is not a bushing.
+        size: (m,) value of what is never negative, such as a stiffness; inf of
+            others.
 
     >>> one = np.eye(1)
     >>> known = Uncertainty(
@@ -73,6 +75,7 @@ class Uncertainty:
     prior_sd: np.ndarray
     at_bound: np.ndarray
     law: np.ndarray | float = 0.0
+    size: np.ndarray | float = np.inf
 
     def __repr__(self) -> str:
         # Without the arrays: a notebook prints this for its last line.
@@ -96,9 +99,14 @@ class Uncertainty:
 
     @property
     def identifiable(self) -> np.ndarray:
-        """Whether the data determine each, at half its prior's sd (m,)."""
+        """Whether the data determine each (m,).
+
+        Its sd is less than half of the prior's, and of what is never negative
+        the interval does not reach zero.
+        """
         off = np.hypot(self.sd, self.law)
-        return off < _IDENTIFIABLE * self.prior_sd
+        contracted = off < _IDENTIFIABLE * self.prior_sd
+        return contracted & (self.half_width < self.size)
 
 
 def uncertainty(
@@ -156,6 +164,7 @@ def uncertainty(
         0.0
         if problem.error_variables is None
         else np.array([_law(p, v) for p, v in zip(chosen, x, strict=True)]),
+        np.where([p.lower >= 0.0 for p in chosen], x, np.inf),
     )
 
 

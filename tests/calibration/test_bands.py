@@ -632,6 +632,10 @@ def test_intervals_are_two_sigma_with_the_pull():
     )
     assert pytest.approx(1.959963985) == QUANTILE_95
     np.testing.assert_array_equal(found.identifiable, [True, False, False])
+    # A stiffness of 9.7 ± 9.8 N/m is unknown.
+    for size, known in ((9.9, True), (9.7, False)):
+        own = replace(found, size=np.array([size, np.inf, np.inf]))
+        assert own.identifiable[0] == known
 
 
 def test_noise_of_a_filter_has_its_spectrum():
