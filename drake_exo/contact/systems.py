@@ -705,7 +705,7 @@ class TrackingController(LeafSystem):
         self.set_name("tracking_controller")
         times, q, v, a, torque = map(np.asarray, (times, q, v, a, torque))
         n, nq = len(times), q.shape[-1]
-        n_joints = nq - 3
+        hinges, n_joints = slice(3, nq), nq - 3
         shapes = {x.shape for x in (q, v, a)}, torque.shape
         if shapes != ({(n, nq)}, (n, n_joints)):
             told = ", ".join(str(x.shape) for x in (q, v, a, torque))
@@ -715,7 +715,6 @@ class TrackingController(LeafSystem):
             )
         if not (np.diff(times) > 0.0).all():
             raise InputError("times do not increase; sort the samples")
-        hinges = slice(nq - n_joints, nq)
         q, v, a = (x[:, hinges] for x in (q, v, a))
         self._ends = times[0], times[-1]
         self._torque = CubicSpline(times, torque)
@@ -725,8 +724,7 @@ class TrackingController(LeafSystem):
         )
         self._feedback = np.zeros((n_joints, 2 * nq))
         self._feedback[:, hinges] = stiffness * np.eye(n_joints)
-        rates = slice(2 * nq - n_joints, 2 * nq)
-        self._feedback[:, rates] = damping * np.eye(n_joints)
+        self._feedback[:, nq + 3 :] = damping * np.eye(n_joints)
         self.DeclareVectorInputPort("state", 2 * nq)
         self.DeclareVectorOutputPort("joint_torques", n_joints, self._calc)
 

@@ -28,7 +28,7 @@ MOST_SAMPLES = 100_000  # of a load; each is a system to solve
 # Shape of a sample's part of each array.
 _SHAPES = {
     "times": (), "force": (3,), "zmp": (2,), "free_moment": (),
-    "rotation": (3, 3),
+    "rotation": (3, 3), "moment_cut": (),
 }  # fmt: skip
 
 
@@ -66,8 +66,8 @@ class Load:
         rotation: Measured orientation of the sole, (N, 3, 3); the simulation
             then follows it and the force, not the ZMP. None means that the
             orientation follows from the ZMP.
-        moments_cut: Number of samples whose free moment was cut to what
-            friction bears, see `bearable`; in proportion after `at`.
+        moment_cut: 1 where the free moment was cut to what friction bears,
+            see `bearable`, and 0 elsewhere, (N,); None means nowhere.
         begins: Samples at which the foot is set down anew; the first is 0.
         weights: Weights in the cost of the contact phases that begin there.
     """
@@ -78,7 +78,7 @@ class Load:
     name: str = "load"
     free_moment: np.ndarray | None = None
     rotation: np.ndarray | None = None
-    moments_cut: int = 0
+    moment_cut: np.ndarray | None = None
     begins: tuple[int, ...] = (0,)
     weights: tuple[float, ...] = (1.0,)
 
@@ -177,6 +177,7 @@ class Load:
             force=self.force * [1.0, 0.0, 1.0],
             zmp=self.zmp * [1.0, 0.0],
             free_moment=None,
+            moment_cut=None,
         )
 
     def placed(self, origin, yaw: float) -> "Load":
@@ -203,7 +204,6 @@ class Load:
         return replace(
             self,
             **{n: x[index] for n, x in arrays.items() if x is not None},
-            moments_cut=round(self.moments_cut * len(index) / len(self.times)),
             begins=tuple(map(int, begins)),
             weights=tuple(self.weights[k] for k in left),
         )
@@ -264,7 +264,7 @@ class Load:
             "; ".join(load.name for load in loads),
             _joined(loads, "free_moment", 0.0),
             _joined(loads, "rotation", np.full((3, 3), np.nan)),
-            sum(load.moments_cut for load in loads),
+            _joined(loads, "moment_cut", 0.0),
             tuple(int(n + k) for load, n, _ in each for k in load.begins),
             tuple(float(w * s) for load, _, w in each for s in load.shares),
         )
@@ -342,9 +342,14 @@ class Load:
             return self
         across, along = self._on_ground(up)
         most = np.maximum(friction * across - along, 0.0) * width / 4 / up[2]
-        cut = int((np.abs(self.free_moment) > most).sum())
+        cut = np.abs(self.free_moment) > most
         moment = np.clip(self.free_moment, -most, most)
-        return replace(self, free_moment=moment, moments_cut=cut)
+        return replace(self, free_moment=moment, moment_cut=cut)
+
+    @property
+    def moments_cut(self) -> int:
+        """Number of samples whose free moment was cut, see `bearable`."""
+        return 0 if self.moment_cut is None else int(self.moment_cut.sum())
 
     @property
     def largest_force(self) -> float:
