@@ -307,6 +307,9 @@ class Study:
 
     def _judge(self, trials: Sequence[Trial]) -> tuple[Check, ...]:
         self._judged.update({trial.name: trial for trial in trials})
+        return self._checks(trials)
+
+    def _checks(self, trials: Sequence[Trial]) -> tuple[Check, ...]:
         return tuple(c for t in trials for c in made_checks(self.model, t))
 
     def gate(
@@ -471,12 +474,11 @@ class RecordedStudy(Study):
         """Quality of the recordings, without solving anything."""
         return assess(self.subject, self.trials(), self.plausibility())
 
-    def _judge(self, trials: Sequence[Trial]) -> tuple[Check, ...]:
+    def _checks(self, trials: Sequence[Trial]) -> tuple[Check, ...]:
         cut = [t for t in trials if self._loaded.get(t.name) is t]
-        checks = super()._judge([t for t in trials if t not in cut])
+        checks = super()._checks([t for t in trials if t not in cut])
         if not cut:
             return checks
-        self._judged.update({trial.name: trial for trial in cut})
         evidence = [
             Evidence(f, trial, self.recordings.used(f), self.subject)
             for trial in cut

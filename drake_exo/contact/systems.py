@@ -51,7 +51,12 @@ from drake_exo.contact.hunt_crossley import (
 )
 from drake_exo.contact.parameters import ContactSphere, GroundContact
 from drake_exo.contact.scalars import arctan2, sin
-from drake_exo.errors import InputError, check_fields, check_type
+from drake_exo.errors import (
+    InputError,
+    check_bounds,
+    check_fields,
+    check_type,
+)
 
 
 def made_on_demand(scope: dict) -> Callable[[str], type]:
@@ -770,6 +775,11 @@ def AssistController_(T):
             converter=None,
         ):
             LeafSystem_[T].__init__(self, converter=converter)
+            check_bounds("knee_nm", knee_nm, {"unit": "N m"})
+            check_bounds("hip_nm", hip_nm, {"unit": "N m"})
+            check_bounds(
+                "damping", damping, {"unit": "N m s/rad", "minimum": 0.0}
+            )
             self.set_name("assist_controller")
             self._support = knee_nm, hip_nm
             self._damping = damping

@@ -341,15 +341,19 @@ class Trial:
         return {name: x for name, x in arrays.items() if x is not None}
 
     def save(self, path: str | Path) -> None:
-        """Write `path`.npz (arrays) and `path`.json (the rest)."""
-        path = path_of(path, "path")
+        """Write `path`.npz (arrays) and `path`.json (the rest).
+
+        Args:
+            path: where, with or without one of the two endings.
+        """
+        arrays, rest = _files(path)
         np.savez(
-            path.with_name(path.name + ".npz"),
+            arrays,
             times=self.times,
             **self._arrays(),
         )
         write_json(
-            path.with_name(path.name + ".json"),
+            rest,
             {
                 "name": self.name,
                 "source": self.source,
@@ -370,10 +374,9 @@ class Trial:
         Raises:
             InputError: one of the files is missing or damaged.
         """
-        path = path_of(path, "path")
         again = "run what wrote it again"
-        arrays = read_arrays(path.with_name(path.name + ".npz"), again)
-        rest = read_json(path.with_name(path.name + ".json"), again)
+        arrays, rest = _files(path)
+        arrays, rest = read_arrays(arrays, again), read_json(rest, again)
         try:
             for name, x in arrays.items():
                 if x.dtype != float or not np.isfinite(x).all():
@@ -428,6 +431,13 @@ def _fields(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
             parts.setdefault(cuff, {})[part] = x
     cuffs = {cuff: CuffForce(**found) for cuff, found in parts.items()}
     return {**fields, "cuffs": cuffs, "feet": feet, "applied": applied}
+
+
+def _files(path: str | Path) -> tuple[Path, Path]:
+    """Files of a trial's arrays and of the rest."""
+    path = path_of(path, "path")
+    name = path.name.removesuffix(".npz").removesuffix(".json")
+    return path.with_name(name + ".npz"), path.with_name(name + ".json")
 
 
 def as_trials(trials) -> tuple[Trial, ...]:

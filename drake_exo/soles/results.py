@@ -77,7 +77,8 @@ def step_checks(step) -> tuple[Check, ...]:
         checks = [Check(SOLVED, True, where=step.setup.name)]
     else:
         q, status = failed[0], step.history.reports[failed[0]].message
-        said = f"sample {q} at {step.times[q]:g} s: {status}"
+        # Counted from 1, as the table of finite strain counts.
+        said = f"sample {q + 1} at {step.times[q]:g} s: {status}"
         pressed = step.pressed
         if pressed > SMALL_STRAIN:
             said += (

@@ -109,6 +109,10 @@ def test_a_controller_gives_the_torques(in_device):
     # The device does not straighten until its torques are those measured.
     off = rmsd(t, in_device.trials[0])["angles_deg"]
     assert max(off[joint] for joint in in_device.model.coordinates.device) < 7.0
+    with pytest.raises(InputError, match="damping is -1, but must be at least"):
+        AssistController(damping=-1.0)
+    with pytest.raises(InputError, match=r"hip_nm must be a number \[N m\]"):
+        AssistController(hip_nm="10")
 
 
 @pytest.mark.slow

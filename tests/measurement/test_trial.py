@@ -97,6 +97,9 @@ def test_names_with_dots_keep_their_files(trial, tmp_path, name):
         f"{name}.npz",
         f"{name}.json",
     }
+    trial.save(tmp_path / f"{name}.npz")
+    assert len(list(tmp_path.iterdir())) == 2
+    assert Trial.load(tmp_path / f"{name}.json").name == trial.name
 
 
 def test_damaged_files_are_refused(trial, tmp_path):

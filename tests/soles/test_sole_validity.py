@@ -233,7 +233,7 @@ def test_a_lost_sample_is_named_by_its_time():
     )
     verdict = case.simulate().verdict()
     assert verdict.word == "not solved"
-    assert "sample 0 at 0 s" in verdict.failing[0].sentence
+    assert "sample 1 at 0 s" in verdict.failing[0].sentence
 
 
 def test_friction_used_is_that_of_the_steepest_sample():

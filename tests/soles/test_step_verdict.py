@@ -75,7 +75,7 @@ def _told(**changes):
 def test_a_sample_that_failed_is_named_by_its_time():
     check = _told()["solved"]
     assert not check.holds and check.value == 1
-    assert "sample 2 at 0.25 s: lost" in check.sentence
+    assert "sample 3 at 0.25 s: lost" in check.sentence
     assert _told(converged=np.ones(3, bool))["solved"].holds
     assert list(_told(converged=np.zeros(3, bool))) == ["solved"]
     assert "youngs_modulus_pa" not in check.sentence
