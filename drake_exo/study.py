@@ -144,13 +144,10 @@ def _check_names(phase: str, settings, model: Assembly) -> None:
         group, own = "cuffs", model.cuffs
     else:
         return
-    known, keys = dict.fromkeys(own), ()
-    if phase != "design":  # which tells left from right
-        known |= dict.fromkeys(map(without_side, own))
-        keys = own_keys(settings)
+    known = dict.fromkeys([*own, *map(without_side, own)])
     for key, given in (
         (f"{phase}.{group}", getattr(settings, group)),
-        (phase, keys),
+        (phase, own_keys(settings)),
     ):
         for name in given:
             if known and name not in known:

@@ -30,6 +30,7 @@ from drake_exo.calibration.design_variables import (
     design_variables,
     is_assistance,
     joints_below,
+    twin_of,
 )
 from drake_exo.calibration.problem import (
     Compiles,
@@ -708,7 +709,8 @@ class DesignProblem(Compiles):
             before `solve`.
         wearers, settings, today, support, without: as given.
         design: the design variables.
-        variables: name -> decision variable.
+        variables: name -> decision variable; if the design is symmetric, the
+            same one for both legs.
         parts: trials of each wearer within the program.
 
     Raises:
@@ -737,7 +739,13 @@ class DesignProblem(Compiles):
         self.design = [
             _held(v, held) for v in design_variables(wearing, settings)
         ]
-        self.variables = {v.name: self._variable(v) for v in self.design}
+        self.variables = {}
+        for v in self.design:
+            twin = twin_of(v.name) if settings.symmetric else ""
+            if twin in self.variables:
+                self.variables[v.name] = self.variables[twin]
+            else:
+                self.variables[v.name] = self._variable(v)
         cuffs = len(self.wearers[0].model.cuffs)
         own = [norm_of(w.trials, settings, shown=w.shown) for w in self.wearers]
         durations = [t.duration for w in self.wearers for t in w.trials]

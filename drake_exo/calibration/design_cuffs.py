@@ -15,7 +15,7 @@ import numpy as np
 
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_result import DesignResult
-from drake_exo.calibration.design_variables import design_of
+from drake_exo.calibration.design_variables import design_of, partner
 from drake_exo.calibration.wearers import less
 from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.parameters import ContactModel
@@ -130,11 +130,11 @@ def fewer(
 ) -> tuple[DesignResult, list[Tried]]:
     """The best design with as few cuffs as it needs, by greedy removal.
 
-    Each removable cuff is left out in turn and all else designed again under
-    all limits. The best of these designs replaces the present one if the norm
-    of the forces in its forecast is less, and the removal is repeated. Costs
-    are not compared: fractions of 0.02 degrees by which a movement is off the
-    person's own would decide.
+    Each removable cuff (of a symmetric design, both of a pair) is left out in
+    turn and all else designed again under all limits. The best of these designs
+    replaces the present one if the norm of the forces in its forecast is less,
+    and the removal is repeated. Costs are not compared: fractions of 0.02
+    degrees by which a movement is off the person's own would decide.
 
     Args:
         found: solved design with every cuff.
@@ -146,21 +146,22 @@ def fewer(
         The best design, and all that were tried, the one with every cuff first.
     """
     settings = found.problem.settings
-    removable = [
-        c
-        for c in found.problem.wearers[0].model.cuffs
-        if settings.freedom(c).removable
-    ]
+    cuffs = found.problem.wearers[0].model.cuffs
+    removable = dict.fromkeys(
+        frozenset({cuff, partner(cuff, cuffs, settings)})
+        for cuff in cuffs
+        if settings.freedom(cuff).removable
+    )
     if not removable:
         return found, []
     best = (forecast(found), found)
     tried = [_told(found, best[0])]
     while True:
         rivals = []
-        for cuff in removable:
-            if cuff in best[1].problem.without:
+        for pair in removable:
+            if pair <= {*best[1].problem.without}:
                 continue
-            without = (*best[1].problem.without, cuff)
+            without = (*best[1].problem.without, *sorted(pair))
             try:
                 rival = _without(found, without, watch)
                 if rival.solution.was_stopped:

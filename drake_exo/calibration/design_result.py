@@ -140,7 +140,7 @@ class DesignResult:
         free = [i for n, i in index.items() if n not in fixed]
         built = [v for part in problem.parts for v in part.built]
         built = problem.program.indices(np.concatenate(built))
-        touching = np.array(sorted([*free, *built]), int)
+        touching = np.array(sorted({*free, *built}), int)
         border = program.unknowns.column_of(touching)
         optimum = Optimum(program, y, border)
         slopes = optimum.cost_by_fixed(np.array(list(fixed.values()), int))

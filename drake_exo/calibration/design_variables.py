@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from drake_exo.contact.strap import (
     links_above,
     movable,
 )
-from drake_exo.model.assembly import without_side
+from drake_exo.errors import InputError
+from drake_exo.model.assembly import other_side, without_side
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import CUFFED
 
@@ -101,12 +102,24 @@ def design_variables(
 ) -> list[Variable]:
     """All variables: cuffs', then places of joints, then assistance.
 
-    Straps are varied as compliance [m/N, rad/(N m)]; 0 is a rigid strap.
+    Straps are varied as compliance [m/N, rad/(N m)]; 0 is a rigid strap. If the
+    design is symmetric, twins (`twin_of`) have the bounds that both allow.
+
+    Raises:
+        InputError: it is symmetric, but the cuffs of a pair may not change
+            alike.
     """
     found = []
     model = wearers[0].model
     for cuff in model.cuffs:
         freedom = settings.freedom(cuff)
+        other = partner(cuff, model.cuffs, settings)
+        if settings.freedom(other) != freedom:
+            raise InputError(
+                f"design.cuffs: {cuff} and {other} may not change alike, but "
+                "symmetric is true; give both the same, under "
+                f"{without_side(cuff)}"
+            )
         lower, upper = _along(cuff, wearers, freedom.along_m)
         found += [
             Variable(f"{cuff}.across_m", "m", *freedom.across_m, 0.0, 0.01),
@@ -136,14 +149,39 @@ def design_variables(
             Variable(f"{joint}.{w}", "m", *getattr(free, w), 0.0, 0.005)
             for w in OFFSETS
         ]
-    for joint in _driven(wearers):
+    for joint in _driven(wearers, settings):
         if settings.assistance_over == "gains":
             found += _gains(joint, settings)
             continue
         for place in _factors_at(joint, wearers, settings):
             name = f"{joint}.{FACTOR}{place}"
             found.append(Variable(name, "1", *settings.assistance, 1.0, 0.1))
-    return found
+    if not settings.symmetric:
+        return found
+    named = {v.name: v for v in found}
+    pairs = [(v, named.get(twin_of(v.name), v)) for v in found]
+    return [
+        replace(v, lower=max(v.lower, t.lower), upper=min(v.upper, t.upper))
+        for v, t in pairs
+    ]
+
+
+def twin_of(name: str) -> str:
+    """Name of the variable of the other leg; itself if it has no side."""
+    group, _, what = name.partition(".")
+    return f"{other_side(group)}.{what}"
+
+
+def partner(part: str, parts: Sequence[str], settings: DesignSettings) -> str:
+    """The cuff or joint that changes alike; itself if there is none.
+
+    Args:
+        part: its name.
+        parts: names of all.
+        settings: the design's.
+    """
+    other = other_side(part)
+    return other if settings.symmetric and other in parts else part
 
 
 def _gains(joint: str, settings: DesignSettings) -> list[Variable]:
@@ -166,8 +204,11 @@ def _gains(joint: str, settings: DesignSettings) -> list[Variable]:
     ]
 
 
-def _driven(wearers: Sequence[Wearer]) -> list[str]:
-    """Joints of the device that are driven, not merely resist by friction."""
+def _driven(wearers: Sequence[Wearer], settings: DesignSettings) -> list[str]:
+    """Joints of the device that are driven, not merely resist by friction.
+
+    If the design is symmetric, with those that change alike.
+    """
     names = wearers[0].model.coordinates
     trials = [(w, t) for w in wearers for t in w.trials]
     # Friction identified on a bench may be wrong: the torque has to be large
@@ -179,26 +220,34 @@ def _driven(wearers: Sequence[Wearer]) -> list[str]:
             [w.drive(t) for w, t in trials],
         )
     )
-    return [
+    driven = [
         joint
         for joint, moment in zip(
             names.device, np.minimum(most, drive), strict=True
         )
         if moment > _DRIVEN * most.max()
     ]
+    return [
+        joint
+        for joint in names.device
+        if {joint, partner(joint, names.device, settings)} & {*driven}
+    ]
 
 
 def _factors_at(joint: str, wearers, settings: DesignSettings) -> list[str]:
     """Ends of the names of a joint's factors: angles or places in time."""
     if settings.assistance_over == "angle":
-        angles = _angles(joint, wearers, settings.points)
+        device = wearers[0].model.coordinates.device
+        joints = {joint, partner(joint, device, settings)}
+        angles = _angles(joints, wearers, settings.points)
         return [f"{angle:g}{_DEG}" for angle in angles]
     return [f"{k + 1}_of_{settings.points}" for k in range(settings.points)]
 
 
-def _angles(joint: str, wearers, count: int) -> np.ndarray:
-    """Whole degrees (k,), evenly over the range of a joint's angle."""
-    seen = [t.coordinate(joint) for w in wearers for t in w.trials]
+def _angles(joints: Iterable[str], wearers, count: int) -> np.ndarray:
+    """Whole degrees (k,), evenly over the range of the joints' angles."""
+    trials = [t for w in wearers for t in w.trials]
+    seen = [t.coordinate(joint) for joint in joints for t in trials]
     lower, upper = (
         float(np.rad2deg(f([f(x) for x in seen]))) for f in (min, max)
     )

@@ -914,8 +914,11 @@ class DesignSettings:
         seed: seed of those draws.
         population: additional wearers of other sizes, who move as each
             calibrated one; none if left out.
-        cuffs: what may change of each cuff, by name; defaults for those that
-            are not named.
+        cuffs: what may change of each cuff, by name; `thigh` also gives
+            `thigh_left`; defaults for those that are not named.
+        symmetric: whether cuffs and joints whose names differ in left and right
+            alone change alike: shifts along and across their limbs, straps,
+            areas, and factors on torques.
         joints: how far the joints exo_knee and exo_hip of the shipped device
             may move, by name; a joint that is not named stays where it is.
         assistance: lowest and highest factor on the device's torques.
@@ -947,6 +950,7 @@ class DesignSettings:
     seed: int = quantity(None, 0, minimum=0)
     population: Population | None = None
     cuffs: dict[str, CuffFreedom] = field(default_factory=dict)
+    symmetric: bool = False
     joints: dict[str, JointFreedom] = field(default_factory=dict)
     assistance: tuple[float, float] = quantity(None, (0.7, 1.3), above=0.0)
     assistance_over: Literal["angle", "movement", "gains"] = "angle"
@@ -971,5 +975,6 @@ class DesignSettings:
         return self.order if self.objective == "peak" else 2.0
 
     def freedom(self, cuff: str) -> CuffFreedom:
-        """What may change of a cuff."""
-        return self.cuffs.get(cuff, CuffFreedom())
+        """What may change of a cuff; `thigh` also gives `thigh_left`."""
+        usual = self.cuffs.get(without_side(cuff), CuffFreedom())
+        return self.cuffs.get(cuff, usual)

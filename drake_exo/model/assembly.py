@@ -299,6 +299,16 @@ def without_side(part: str) -> str:
     return name if name and side in SIDES else part
 
 
+def other_side(part: str) -> str:
+    """Name of the same part on the other leg; itself if it has no side.
+
+    >>> other_side("thigh_left"), other_side("right_knee"), other_side("hip")
+    ('thigh_right', 'left_knee', 'hip')
+    """
+    swapped = dict(zip(SIDES, SIDES[::-1], strict=True))
+    return "_".join(swapped.get(word, word) for word in part.split("_"))
+
+
 _SHIPPED = ("foot", *CUFFED)
 # Shipped models: device on cuffs, device welded on, person alone.
 COUPLED = Assembly(

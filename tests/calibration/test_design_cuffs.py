@@ -17,12 +17,13 @@ from drake_exo.model.plant import nominal_model
 CUFFS = ("shank", "thigh", "pelvis")
 
 
-def design(without=(), norm=1.0, removable=CUFFS, stopped=False):
+def design(without=(), norm=1.0, removable=CUFFS, stopped=False, alike=False):
     """As much of a design as is looked at."""
     settings = DesignSettings(
-        cuffs={c: CuffFreedom(removable=True) for c in removable}
+        cuffs={c: CuffFreedom(removable=True) for c in removable},
+        symmetric=alike,
     )
-    model = SimpleNamespace(cuffs=dict.fromkeys(CUFFS))
+    model = SimpleNamespace(cuffs=dict.fromkeys((*CUFFS, *removable)))
     return SimpleNamespace(
         norm_n=norm,
         design=None,
@@ -49,7 +50,8 @@ def norms(monkeypatch):
 
     monkeypatch.setattr(design_cuffs, "_without", without)
 
-    def given(**known):
+    def given(pairs=(), **known):
+        table.update(pairs)
         table.update({frozenset(k.split("_")): v for k, v in known.items()})
 
     return given
@@ -104,6 +106,18 @@ def test_only_what_may_be_removed_is_tried(norms):
     assert [t.without for t in tried] == [(), ("shank",)]
     whole = design(removable=())
     assert fewer(whole, built, None) == (whole, [])
+
+
+def test_of_a_symmetric_design_both_of_a_pair_are_left_out(norms):
+    pair = frozenset({"calf_left", "calf_right"})
+    norms({pair: 0.6, pair | {"shank"}: 0.4}, shank=0.8, calf=0.1)
+    whole = design(removable=("shank", *pair), alike=True)
+    best, tried = fewer(whole, built, None)
+    assert set(best.problem.without) == pair | {"shank"}
+    assert [set(t.without) for t in tried] == [
+        set(), {"shank"}, pair, pair | {"shank"}
+    ]  # fmt: skip
+    assert tried[2].name == "calf_left and calf_right"
 
 
 @pytest.mark.parametrize("how", ["stopped", "interrupted"])
