@@ -22,8 +22,11 @@ class _Compiled(Dispatcher):
             raise
 
 
-def njit(**options) -> Callable[[Callable], Dispatcher]:
+def njit(fastmath: bool = False) -> Callable[[Callable], Dispatcher]:
     """Decorator like `numba.njit(cache=True)`, but aware of callees' files.
+
+    Each function keeps its own `fastmath`: in numba's default it is that of the
+    caller that happens to compile it first, and NaN or rounding change with it.
 
     numba compiles anew when a function's own file has changed. Functions of
     other modules are compiled into it, so here the files of all compiled
@@ -32,7 +35,7 @@ def njit(**options) -> Callable[[Callable], Dispatcher]:
     """
 
     def compiled(function: Callable) -> Dispatcher:
-        found = numba.njit(cache=True, **options)(function)
+        found = numba.njit(cache=True, fastmath=fastmath)(function)
         found.__class__ = _Compiled
         imported = [
             value

@@ -68,6 +68,16 @@ def test_what_nobody_edited_is_not_compiled_again(fresh):
     assert sum(again.stats.cache_hits.values()) == 1
 
 
+@pytest.mark.slow
+def test_a_callee_keeps_nan_whoever_compiles_it_first(fresh, monkeypatch):
+    """Fast mathematics, which its caller may have, takes x − x as 0."""
+    law = LAW.replace("()", "(fastmath=True)", 1)
+    law = law.replace("{factor} * x", "{factor} + (x - x)")
+    monkeypatch.setitem(globals(), "LAW", law)
+    assert fresh("2.0")(0.0) == 3.0
+    assert np.isnan(sys.modules["stale_law"].inner(np.nan))
+
+
 def test_no_sole_is_compiled_in_another_way():
     for path in Path(soles.__file__).parent.rglob("*.py"):
         if path.name != "numerics.py":
