@@ -794,8 +794,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     ],
     "drake_exo/soles/optimize/problem.py": [
         ("others, by_walk[1:]", "others, 0 * by_walk[1:]"),
-        ("m in (self.mesh, self.finer) if", "m in (self.mesh,) if"),
-        ("share / self._rest", "share"),
+        ("m in (mesh, self.finer) if", "m in (mesh,) if"),
+        ("share / grid.rest", "share"),
     ],
     "drake_exo/soles/walking_pattern.py": [
         ("low, high = low - rows @ p0", "low, high = low + rows @ p0"),

@@ -76,8 +76,9 @@ class ShapeProblem:
                 "top"
             )
         self.setup, self.settings = setup, setup.settings
-        self.mesh, self.spline = stage_mesh(setup.mesh, stage), setup.spline()
-        self.stage, self.finer = stage, finer_mesh(setup.mesh, stage)
+        self.spline, self.stage = setup.spline(), stage
+        mesh = stage_mesh(setup.mesh, stage)
+        self.finer = finer_mesh(setup.mesh, stage)
         self.load, self.limits = setup.load, limits_of(setup.settings)
         self.gait = setup.gait
         self._own_walk = self.gait.start if self.gait else np.zeros(0)
@@ -85,10 +86,10 @@ class ShapeProblem:
         self.weight = cost.weight
         self.roughness = block.roughness * stage.roughness
         self.branch, self.evaluations, self._cache = None, 0, {}
-        grids = [m for m in (self.mesh, self.finer) if m is not None]
-        self._whole = [_Elements(m, self.spline) for m in grids]
-        self.M, self.s0 = self._whole[0].basis
-        self._sole = setup.sole(self.mesh)
+        grids = [m for m in (mesh, self.finer) if m is not None]
+        self._grids = [_Grid(m, self.spline) for m in grids]
+        self._grid = grid = self._grids[0]  # of the mesh that is simulated
+        self._sole = setup.sole(mesh)
         self.law = replace(
             setup.law(self._sole), layer=stage.layer_m, kappa=stage.kappa
         )
@@ -99,11 +100,10 @@ class ShapeProblem:
         self.counts = by_rot
         share = self.load.shares[self.thinned.phase]
         self.by_tr, self.by_rot = share * by_tr, share * by_rot
-        bend = bends(self.mesh) / _BEND
-        self._bends = bend @ self.M, bend @ self.s0
-        self.surface = SurfaceLimits(
-            self.limits, self.mesh, (self.M != 0).any(axis=1)
-        )
+        bend = bends(mesh) / _BEND
+        self._bends = bend @ grid.M, bend @ grid.s0
+        moving = (grid.M != 0).any(axis=1)
+        self.surface = SurfaceLimits(self.limits, mesh, moving)
         self.first = self.evaluate(self.undeformed)
         if self.first is None:
             raise InputError(
@@ -114,6 +114,11 @@ class ShapeProblem:
         self.limited = active_limits(
             self.limits, self.first, self.by_rot, setup.up
         )
+
+    @property
+    def mesh(self) -> TetMesh:
+        """Mesh of the undeformed shape."""
+        return self._sole.mesh
 
     @property
     def undeformed(self) -> np.ndarray:
@@ -137,13 +142,9 @@ class ShapeProblem:
         """
         return self.gait.load(self._split(p)[1]) if self.gait else self.load
 
-    def stretch(self, p: np.ndarray) -> np.ndarray:
-        """Factor s at every node of the reference mesh (n,)."""
-        return self.M @ self._split(p)[0] + self.s0
-
     def deformed(self, p: np.ndarray) -> TetMesh:
         """The mesh of a design; elements may be inverted."""
-        return self.mesh.with_nodes(self.stretch(p)[:, None] * self.mesh.nodes)
+        return self.mesh.with_nodes(self._grid.places(self._split(p)[0]))
 
     def step(self, p: np.ndarray) -> Step:
         """Simulate all samples by the exact law, from a cold start."""
@@ -163,8 +164,9 @@ class ShapeProblem:
         return self._cache[key]
 
     def _simulate(self, p):
-        stretch = self.stretch(p)
-        sole = self._sole.with_nodes(stretch[:, None] * self.mesh.nodes)
+        shape = self._split(p)[0]
+        sole = self._sole.with_nodes(self._grid.places(shape))
+        stretch = self._grid.stretch(shape)
         if stretch.min() <= 0 or sole.mesh.volumes.min() <= 0:
             return None
         solver = ContactSolver.of(
@@ -186,8 +188,9 @@ class ShapeProblem:
             return None
         if touches_elsewhere(sole, self.law, history, self.setup.ground):
             # A node not meant to touch did: from now on all bare nodes may.
-            self.mesh, self.branch = self.mesh.touching_everywhere(), None
-            self._sole = replace(self._sole, mesh=self.mesh)
+            everywhere = self.mesh.touching_everywhere()
+            self._sole = replace(self._sole, mesh=everywhere)
+            self.branch = None
             return self._simulate(p)
         return Evaluation(
             sole,
@@ -232,8 +235,7 @@ class ShapeProblem:
         if self.finer is None:
             return None
         there = copy(self)
-        there.mesh, there.branch, there._cache = self.finer, None, {}
-        there.M, there.s0 = self._whole[1].basis
+        there._grid, there.branch, there._cache = self._grids[1], None, {}
         there._sole = self.setup.sole(self.finer)
         there.law = replace(self.law, penalty=there._sole.penalty)
         cost = there.cost(p)
@@ -353,42 +355,52 @@ class ShapeProblem:
         The continuous map never inverts, but an element in which s varies may.
         The limit keeps to designs that these elements, and finer ones, resolve.
         """
-        parts = [part.quality(coefficients) for part in self._whole]
+        meshes = [
+            grid.mesh.with_nodes(grid.places(coefficients))
+            for grid in self._grids
+        ]
+        parts = [
+            mesh.quality() / grid.rest
+            for mesh, grid in zip(meshes, self._grids, strict=True)
+        ]
         value, share = soft_minimum(
             np.concatenate(parts) - _LEAST_QUALITY, _ELEMENT_SHARPNESS
         )
         shares = np.split(share, np.cumsum([len(q) for q in parts])[:-1])
         slopes = [
-            part.slope(coefficients, share)
-            for part, share in zip(self._whole, shares, strict=True)
+            grid.by_coefficients(mesh.quality_gradient(share / grid.rest))
+            for mesh, grid, share in zip(
+                meshes, self._grids, shares, strict=True
+            )
         ]
         return value, sum(slopes)
 
     def by_coefficients(self, X: np.ndarray) -> np.ndarray:
-        """Chain rule from node positions (n, 3) to coefficients (P,)."""
-        return self.M.T @ (X * self.mesh.nodes).sum(axis=1)
+        """Chain rule from node positions (n, 3) to coefficients (k,)."""
+        return self._grid.by_coefficients(X)
 
 
-class _Elements:
-    """Quality of a mesh's elements in a design, over that at rest."""
+class _Grid:
+    """A mesh of the undeformed sole, its nodes moved by coefficients (k,).
+
+    `rest` is the quality of its elements at rest, (e,).
+    """
 
     def __init__(self, mesh: TetMesh, spline: SphericalSpline):
-        self._mesh = mesh
-        self.basis = spline.basis(mesh.nodes)
-        self._rest = mesh.quality()
+        self.mesh, self.rest = mesh, mesh.quality()
+        self.M, self.s0 = spline.basis(mesh.nodes)
 
-    def _moved(self, p) -> TetMesh:
-        M, s0 = self.basis
-        return self._mesh.with_nodes((M @ p + s0)[:, None] * self._mesh.nodes)
+    def stretch(self, coefficients: np.ndarray) -> np.ndarray:
+        """Factor s at every node, (n,)."""
+        return self.M @ coefficients + self.s0
 
-    def quality(self, p: np.ndarray) -> np.ndarray:
-        """Quality of every element over that at rest, (e,)."""
-        return self._moved(p).quality() / self._rest
+    def places(self, coefficients: np.ndarray) -> np.ndarray:
+        """Places of the nodes in a shape [m], (n, 3)."""
+        return self.stretch(coefficients)[:, None] * self.mesh.nodes
 
-    def slope(self, p: np.ndarray, share: np.ndarray) -> np.ndarray:
-        """Derivatives of Σ share · quality by the coefficients, (k,)."""
-        X = self._moved(p).quality_gradient(share / self._rest)
-        return self.basis[0].T @ (X * self._mesh.nodes).sum(axis=1)
+    def by_coefficients(self, X: np.ndarray) -> np.ndarray:
+        """Chain rule from node positions (n, 3) to coefficients (k,)."""
+        return self.M.T @ (X * self.mesh.nodes).sum(axis=1)
 
 
 def sample_weights(load: Load, samples: int | None, fraction: float):
