@@ -268,7 +268,7 @@ class Study:
 def optimize_job(folder: Path, case: Case, say, search, accepted=()) -> str:
     """Verify and write the design that a search found; its `line`."""
     (found,) = search.values()
-    design = finished(case, found, say)
+    design = finished(case, found)
     return line(design.write(folder, say, accepted))
 
 

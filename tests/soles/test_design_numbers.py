@@ -286,13 +286,13 @@ def test_what_is_printed_is_measured_in_millimetres(design, tmp_path):
 def test_the_last_design_is_verified_by_the_exact_law(design):
     p = np.full(len(design.coefficients), 0.95)
     at = Checkpoint(p=p, starts=({"cost": 1.0, "violation": 0.0},))
-    found = module.verified(design.setup, design.problem, at, ["o"], [2.0])
+    found = module.verified(design.setup, design.problem, at, design.optima)
     np.testing.assert_allclose(
         found.mesh.nodes, 0.95 * design.setup.mesh.nodes, atol=1e-15
     )
     assert found.step.law.layer == 0 and found.first.law.layer == 0
     assert found.first.c == pytest.approx(design.first.c, rel=1e-9)
-    assert (found.optima, found.stages_seconds) == (["o"], [2.0])
+    assert found.optima == design.optima
     assert found.starts == at.starts and found.variables is p
 
 
@@ -315,7 +315,8 @@ def test_seconds_and_figures_are_of_the_run(design, tmp_path, monkeypatch):
         module, "compare_strains", lambda *_: later() or {"kind": "none"}
     )
     monkeypatch.setattr(module, "write_table", lambda *_: "")
-    given = replace(design, seconds=40.0, stages_seconds=[1.234, 5.678])
+    optima = [replace(design.optima[0], seconds=s) for s in (1.234, 5.678)]
+    given = replace(design, seconds=40.0, optima=optima)
     row = given.write(tmp_path)
     assert row["seconds"] == 42.5
     assert row["stages_seconds"] == [1.23, 5.68]

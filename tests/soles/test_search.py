@@ -403,10 +403,10 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
     def scale(problem, at):
         problem.scaled = at.p
 
-    def verified(setup, problem, at, optima, seconds):
+    def verified(setup, problem, at, optima):
         clock[0] += 7.0
         made.append(((problem.stage, problem.scaled), at.p,
-                     [o.cost for o in optima], seconds))  # fmt: skip
+                     [(o.cost, o.seconds) for o in optima]))  # fmt: skip
         return SimpleNamespace(starts=at.starts)
 
     monkeypatch.setattr(search, "from_start", from_start)
@@ -427,7 +427,7 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
         (2, 1, "p2"), (0, 1, "p0"),  # the better half
         (2, 2, "p2"),
         (3, "p2", [4.0, 1.0, 2.0, 6.0]),
-        (last, "p2'", [4.0, 3.0, 2.0, 3.0], [11.0, 12.0, 13.0, 14.0]),
+        (last, "p2'", [(4.0, 11.0), (3.0, 12.0), (2.0, 13.0), (3.0, 14.0)]),
     ]  # fmt: skip
     assert found.seconds == 7.0
     places = [1, 2, 3, 4, 3, 1, 3]
@@ -443,7 +443,7 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
     # Alone it takes no other process.
     monkeypatch.setattr(search, "Processes", None)
     search.optimise(setup, None, str, Checkpoint(stage=2, p="p"), at_once=2)
-    assert made == [((last, "p"), "p", [], [])]
+    assert made == [((last, "p"), "p", [])]
     # What a study tells: the stages of all starts, and the rest.
     setup = case.optimizing(stages=2 * block.stages, starts=2)
     with Here() as pool:
@@ -453,7 +453,7 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
     assert [job.name for job in jobs] == names
     whole = ended["last stage"].value
     assert whole.seconds == 11.0 + 11.0 + 12.0
-    assert search.finished(setup, whole, str).seconds == 34.0 + 7.0
+    assert search.finished(setup, whole).seconds == 34.0 + 7.0
 
 
 def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
@@ -541,17 +541,17 @@ def test_the_better_of_a_sole_with_its_walk_and_alone(
             verdict=lambda: SimpleNamespace(holds=holds),
         )  # fmt: skip
 
-    def alone(own, own_problem, at, optima, seconds):
+    def alone(own, own_problem, at, optima):
         # Its own limits, none of the walk's; how its search ended.
         assert own.gait is None and type(own_problem) is search.ShapeProblem
         assert (at.starts, at.strain_scale) == (({"stage": 2},), 0.5)
-        assert (optima, seconds) == (ended, [3.0])
+        assert optima == ended
         shape, walk = np.split(at.p, [problem.spline.count])
         asked.append(shape)
         return design(c, holds, walk)
 
     monkeypatch.setattr(search, "verified", alone)
-    ended = [Optimum(coefficients, 1.0, seconds=3.0)]
+    ended = [Optimum(coefficients, 1.0)]
     before = search.Found(ended, Checkpoint(strain_scale=0.5))
     at = Checkpoint(alone=coefficients, starts=({"stage": 2},))
     found = search.Found([], at, alone=before)
@@ -604,7 +604,7 @@ def test_walks_begin_with_the_sole_for_the_case_s_own(monkeypatch):
         best.trace = [(0, 1.0, 0.0, 0.0)]
         return best
 
-    def done(setup, problem, at, optima, seconds):
+    def done(setup, problem, at, optima):
         row = {"p": at.p, "at": at, "stages": [o.stage for o in optima]}
         return SimpleNamespace(**row)
 

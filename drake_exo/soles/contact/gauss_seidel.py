@@ -94,7 +94,7 @@ class GaussSeidelSolver(ContactSolver):
 
     def _pose_step(self, state, point, target) -> None:
         """Take the Newton step (24) of the pose; forces follow in sweeps."""
-        lin = self._linearisation(point, target)
+        lin = self._linearisation(point)
         turn = target.turn(self.ground, state.R, self.lP[lin.nodes])
         dF, dp = lin.solve(0.0 * lin.F, point.wrench, target.asked, turn)
         step = capped(dp, 0.15, 0.01)

@@ -310,7 +310,7 @@ class ContactSolver:
         target = target.about_own_zmp(state.F, P, self.ground)
         point = self._evaluate(state, target, 1.0, P)
         point.tau = at_rest(point.tau, self.law, target.force)
-        return self._linearisation(point, target)
+        return self._linearisation(point)
 
     def _evaluate(self, state, target, scale, P=None) -> "_Point":
         F, law = state.F, self.law
@@ -326,7 +326,7 @@ class ContactSolver:
         active = tau[:, 2] > -law.epsilon
         return _Point(state, P, axes, arm, tau, phi, wrench, active, merit)
 
-    def _linearisation(self, point, target) -> Linearisation:
+    def _linearisation(self, point) -> Linearisation:
         if not point.active.any():
             raise np.linalg.LinAlgError("no node in contact")
         self.active.update(np.flatnonzero(point.active))
@@ -343,7 +343,7 @@ class ContactSolver:
             new = self._evaluate(released, target, 1.0)
             point.__dict__.update(new.__dict__ | kept)
         try:
-            lin = self._linearisation(point, target)
+            lin = self._linearisation(point)
             dF, phi = np.zeros_like(state.F), point.phi[lin.nodes]
             turn = target.turn(self.ground, state.R, self.lP[lin.nodes])
             dF[lin.nodes], dp = lin.solve(phi, point.wrench, target.asked, turn)

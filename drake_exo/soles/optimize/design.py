@@ -75,7 +75,6 @@ class Design:
         first: The initial shape, simulated likewise.
         optima: Outcome of every stage. Where a walk was sought, only of the
             stages that moved it, or of the sole alone if that is the design.
-        stages_seconds: Computing time of each stage [s].
         starts: For every start (or walk that was tried) its last stage, the
             cost and violation after it, and the cost on a finer mesh.
         seconds: Computing time of the whole search [s].
@@ -89,7 +88,6 @@ class Design:
     step: Step
     first: Step
     optima: list[Optimum]
-    stages_seconds: list[float]
     starts: tuple[dict, ...] = ()
     seconds: float = 0.0
     gait: dict | None = None
@@ -136,6 +134,11 @@ class Design:
         ]
         columns = np.array(rows, dtype=float).reshape(-1, len(TRACE)).T
         return dict(zip(TRACE, columns, strict=True))
+
+    @property
+    def stages_seconds(self) -> list[float]:
+        """Computing time of each stage [s]."""
+        return [best.seconds for best in self.optima]
 
     @property
     def smoothed(self) -> tuple[float, float] | None:
@@ -459,9 +462,9 @@ class Design:
             save_figure(folder / f"{name}.png", figure, mark)
 
 
-def verified(setup: Setup, problem, at: Checkpoint, optima, seconds) -> Design:
+def verified(setup: Setup, problem, at: Checkpoint, optima) -> Design:
     """The design at a search's checkpoint, simulated by the exact law."""
     step, penalty = problem.step(at.p), problem.law.penalty
     setup = replace(setup, load=step.setup.load)
     first = Step.by_exact_law(setup, problem.first.sole, penalty)
-    return Design(setup, problem, at.p, step, first, optima, seconds, at.starts)
+    return Design(setup, problem, at.p, step, first, optima, at.starts)

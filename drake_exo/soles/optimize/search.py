@@ -141,7 +141,7 @@ def optimise(
             jobs, pool = logged(jobs, Path(logs)), Processes(at_once)
         with pool:
             ended = run_jobs(jobs, pool, end, Heard(say))
-    design = finished(setup, ended[jobs[-1].name].value, say)
+    design = finished(setup, ended[jobs[-1].name].value)
     design.seconds = time.perf_counter() - began
     return design
 
@@ -297,7 +297,7 @@ def go_on(
     return found
 
 
-def finished(setup: Setup, found: Found, say) -> Design:
+def finished(setup: Setup, found: Found) -> Design:
     """The verified design of a search, with its walk if that is free."""
     began, design = time.perf_counter(), _verified(setup, found)
     if setup.gait:
@@ -312,8 +312,7 @@ def _verified(setup: Setup, found: Found) -> Design:
     problem = ShapeProblem(setup, stages[-1])
     if len(stages) > 1:
         _scale(problem, found.at)
-    seconds = [best.seconds for best in found.optima]
-    return verified(setup, problem, found.at, found.optima, seconds)
+    return verified(setup, problem, found.at, found.optima)
 
 
 def in_own_walk(setup: Setup) -> Setup:
