@@ -101,7 +101,7 @@ class Case(Setup):
                 the friction cone.
         """
         self.check_load()
-        return Step.of(self, progress)
+        return Step.of(self, progress=progress)
 
     def optimize(
         self,

@@ -236,30 +236,23 @@ class Step:
 
     @classmethod
     def of(
-        cls, setup: Setup, progress: Callable[[int, int], None] | None = None
+        cls,
+        setup: Setup,
+        sole: Sole | None = None,
+        r: float | None = None,
+        progress: Callable[[int, int], None] | None = None,
     ) -> "Step":
-        """Simulate a case by the exact contact law and the case's method."""
-        began = time.perf_counter()
-        sole = setup.sole()
-        r = sole.penalty
-        ready = time.perf_counter()
-        step = cls.by_exact_law(setup, sole, r, progress)
-        step.seconds = {
-            "condensation_seconds": round(ready - began, 4),
-            "simulation_seconds": round(time.perf_counter() - ready, 4),
-        }
-        return step
+        """Simulate a case, or another sole of it, by the exact contact law.
 
-    @classmethod
-    def by_exact_law(
-        cls, setup: Setup, sole: Sole, r: float, progress=None
-    ) -> "Step":
-        """Simulate a sole by the exact law, with the law's scale r [N/m].
-
-        The method is the case's. If a node reaches the ground that is not among
-        those that may touch, the sole is simulated again with all bare nodes.
+        The law's scale r [N/m] is the sole's own if not given; the method is
+        the case's. If a node reaches the ground that is not among those that
+        may touch, the sole is simulated again with all bare nodes.
         """
+        began = time.perf_counter()
+        sole = setup.sole() if sole is None else sole
+        r = sole.penalty if r is None else r
         law = ContactLaw(setup.settings.contact.friction, r)
+        ready = time.perf_counter()
         kinds = {"newton": ContactSolver, "gauss_seidel": GaussSeidelSolver}
         kind = kinds[setup.settings.contact.method]
 
@@ -271,7 +264,13 @@ class Step:
         if touches_elsewhere(sole, law, history, setup.ground):
             sole = replace(sole, mesh=sole.mesh.touching_everywhere())
             history = simulated(sole)
-        return cls(setup, sole, law, history)
+        return cls(
+            setup, sole, law, history,
+            {
+                "condensation_seconds": round(ready - began, 4),
+                "simulation_seconds": round(time.perf_counter() - ready, 4),
+            },
+        )  # fmt: skip
 
     @property
     def times(self) -> np.ndarray:

@@ -298,9 +298,7 @@ def test_a_stage_limits_the_largest_strain_itself(case, monkeypatch):
     monkeypatch.setattr(search, "minimise", minimise)
     plain = ShapeProblem(setup, stage)
     p = first_design(plain, BOUNDS)
-    step = Step.by_exact_law(
-        setup, setup.sole(plain.deformed(p)), plain.law.penalty
-    )
+    step = Step.of(setup, setup.sole(plain.deformed(p)), plain.law.penalty)
     local = step.history.F @ step.history.R
     largest = max(
         np.abs(np.linalg.eigvalsh(step.sole.strain(u))).max()

@@ -477,6 +477,6 @@ def test_a_further_node_that_gets_to_the_ground_is_noticed():
     mesh = case.mesh.with_nodes(case.mesh.nodes)
     mesh.__dict__["contact"] = bottom[::2]
     sole = Sole(mesh, MATERIALS["neoprene"], "smoothed")
-    step = Step.by_exact_law(replace(case, mesh=mesh), sole, whole.law.penalty)
+    step = Step.of(replace(case, mesh=mesh), sole, whole.law.penalty)
     np.testing.assert_array_equal(step.sole.mesh.contact, mesh.bare)
     assert step.c == pytest.approx(whole.c, rel=1e-9)

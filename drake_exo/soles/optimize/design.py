@@ -260,7 +260,7 @@ class Design:
         ):
             out[name], out[key] = None, np.nan
             if sole.mesh.volumes.min() > 0:
-                step = Step.by_exact_law(self.setup, sole, first.penalty)
+                step = Step.of(self.setup, sole, first.penalty)
                 out[name] = {
                     "c_tr": step.c_tr, "c_rot": step.c_rot, "c": step.c,
                     "failed_steps": step.failed_steps,
@@ -466,5 +466,5 @@ def verified(setup: Setup, problem, at: Checkpoint, optima) -> Design:
     """The design at a search's checkpoint, simulated by the exact law."""
     step, penalty = problem.step(at.p), problem.law.penalty
     setup = replace(setup, load=step.setup.load)
-    first = Step.by_exact_law(setup, problem.first.sole, penalty)
+    first = Step.of(setup, problem.first.sole, penalty)
     return Design(setup, problem, at.p, step, first, optima, at.starts)

@@ -150,7 +150,7 @@ class ShapeProblem:
         """Simulate all samples by the exact law, from a cold start."""
         setup = replace(self.setup, load=self.load_of(p))
         sole = setup.sole(self.deformed(p))
-        return Step.by_exact_law(setup, sole, self.law.penalty)
+        return Step.of(setup, sole, self.law.penalty)
 
     def evaluate(self, p: np.ndarray) -> Evaluation | None:
         """Simulate a design; None if it cannot be simulated."""

@@ -607,7 +607,7 @@ def pareto_front(
     if not setup.mesh.is_block:
         stages = tuple(replace(s, divisions=None) for s in stages)
     brick = setup.sole(stage_mesh(setup.mesh, stages[1]))
-    base = Step.by_exact_law(setup, brick, brick.penalty)
+    base = Step.of(setup, brick)
 
     def searched(problem, p, stage, title, approximation):
         def note(iteration, best):
