@@ -437,26 +437,23 @@ def _enter(sole, solver, target: Target, largest: float, known: State | None):
         aim = replace(
             target, force=part * target.force, moment=part * target.moment
         )
+        found, reached = None, 0.0
         guess = known if part == 1.0 else None
         if guess is None:
             guess, report = first_step(small, aim, part * largest)
-            if not report.converged:
-                best = best or (None, report, 0.0)
-                continue
-        u = sole.displacement(guess.F @ guess.R)
-        state = FiniteState(guess.F, guess.O, guess.R, u)
-        state, report = solver.solve(state, aim)
-        if not report.converged:
-            best = best or (None, report, 0.0)
-            continue
-        entry = report.iterations
-        state, report, way = lead(solver, state, aim, target)
-        report.iterations += entry
-        reached = part + way * (1.0 - part)
+        if guess is not None:
+            u = sole.displacement(guess.F @ guess.R)
+            state = FiniteState(guess.F, guess.O, guess.R, u)
+            state, report = solver.solve(state, aim)
+            if report.converged:
+                entry = report.iterations
+                found, report, way = lead(solver, state, aim, target)
+                report.iterations += entry
+                reached = part + way * (1.0 - part)
         if report.converged:
-            return state, report, 1.0
+            return found, report, 1.0
         if best is None or reached > best[2]:
-            best = (state, report, reached)
+            best = found, report, reached
     return best
 
 

@@ -324,7 +324,7 @@ class ContactSolver:
         wrench = target.missed(wrench)
         merit = float(np.maximum(largest, wrench_size(wrench)) / scale)
         active = tau[:, 2] > -law.epsilon
-        return _Point(state, P, axes, arm, tau, phi, wrench, active, merit)
+        return _Point(state, axes, arm, tau, phi, wrench, active, merit)
 
     def _linearisation(self, point) -> Linearisation:
         if not point.active.any():
@@ -427,7 +427,6 @@ class _Point:
     """State with its residuals, see `residual`; `wrench` is what is missed."""
 
     state: State
-    P: np.ndarray
     axes: np.ndarray
     arm: np.ndarray
     tau: np.ndarray
