@@ -87,7 +87,7 @@ class SoleMotion:
 
         At most `_MAX_FRAMES` samples are kept, the first and last among them.
         """
-        good = np.flatnonzero(np.isfinite(history.K_c).all(axis=(1, 2)))
+        good = np.flatnonzero(history.converged)
         if len(good) < 2:
             return None
         count = min(len(good), _MAX_FRAMES)

@@ -381,7 +381,7 @@ class FiniteHistory:
     @property
     def converged(self) -> np.ndarray:
         """Which samples converged, (N,)."""
-        return np.array([r.converged for r in self.reports], dtype=bool)
+        return np.isfinite(self.K_c).all(axis=(1, 2))
 
 
 def follow(
@@ -509,7 +509,7 @@ def compare_strains(
         start,
         largest_force=load.largest_force,
     )
-    entry = small.state(0) if small.reports[0].converged else None
+    entry = small.state(0) if small.converged[0] else None
     finite = follow(sole, law, strike, start, entry, say, setup.ground)
     return {
         "heel_strike_samples": count,
@@ -568,15 +568,15 @@ def _sample(
     `up` is the normal of the plane that fits the ground, (3,).
     """
     row = {
-        "converged": bool(finite.reports[q].converged),
+        "converged": bool(finite.converged[q]),
         "reached": float(finite.reached[q]),
     }
     shapes = {"small": 3 * [np.nan], "finite": 3 * [np.nan]}
-    if small.reports[q].converged:
+    if small.converged[q]:
         R = small.R[q]
         eps = np.linalg.eigvalsh(sole.strain(sole.displacement(small.F[q] @ R)))
         shapes["small"] = [tilt_deg(R, up), 1 + eps.max(), 1 + eps.min()]
-    if finite.reports[q].converged:
+    if finite.converged[q]:
         state = finite.states[q]
         F = NeoHookeanBody(sole.mesh, sole.material).deformation_gradient(
             state.u

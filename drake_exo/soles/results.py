@@ -775,7 +775,7 @@ def sole_samples(source: Step | Path | str) -> SoleSamples:
     else:
         name = Path(source) / HISTORY
         mesh, _, history, ground = read_history(name, remedy)
-    good = np.isfinite(history.K_c).all(axis=(1, 2))
+    good = history.converged
     if not good.any():
         raise InputError(f"{name}: no sample converged; {remedy}")
     if not ground.is_flat:

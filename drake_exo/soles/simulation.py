@@ -391,8 +391,8 @@ class StepHistory:
 
     @property
     def converged(self) -> np.ndarray:
-        """Which samples converged, (N,)."""
-        return np.array([r.converged for r in self.reports], dtype=bool)
+        """Which samples converged, (N,); of a file, too."""
+        return np.isfinite(self.K_c).all(axis=(1, 2))
 
     @property
     def failed_steps(self) -> int:
@@ -475,7 +475,7 @@ def read_history(path: Path, remedy: str):
     history = StepHistory(*(data[name] for name in names))
     if "friction" in data:
         history.friction = float(data["friction"])
-    good = np.isfinite(history.K_c).all(axis=(1, 2))
+    good = history.converged
     values = (nodes, *(data[n][good] for n in ("times", *names)))
     if not all((np.abs(x) < _LARGEST).all() for x in values):
         raise InputError(f"{path}: holds gaps; {remedy}")

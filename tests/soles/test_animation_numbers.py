@@ -3,7 +3,6 @@
 import html
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from drake_exo.soles.animation import SoleMotion, _Box
 from drake_exo.soles.contact.law import Ground
 from drake_exo.soles.mesh import brick
 from drake_exo.soles.numerics import rotations_xyz
+from drake_exo.soles.simulation import StepHistory
 
 TIMES = np.array([0.5, 0.6, 0.9])
 
@@ -227,10 +227,9 @@ def test_pressure_is_force_over_area_in_kilopascals(motion):
 def test_one_sample_is_no_motion(motion):
     K = np.zeros((3, 6, 6))
     K[1] = np.nan
-    history = SimpleNamespace(
-        K_c=K, O=motion.origin, R=motion.rotation, P=motion.places,
-        F=motion.force,
-    )  # fmt: skip
+    history = StepHistory(
+        motion.force, motion.origin, motion.rotation, motion.places, K
+    )
     made = SoleMotion.of("it", motion.mesh, TIMES, history)
     np.testing.assert_array_equal(made.times, [0.5, 0.9])
     np.testing.assert_array_equal(made.places, motion.places[[0, 2]])
@@ -284,7 +283,7 @@ def test_samples_of_a_long_step_are_spread_evenly(
         name: np.repeat(getattr(motion, own)[:1], 13, axis=0)
         for name, own in parts.items()
     }
-    history = SimpleNamespace(K_c=K, **many)
+    history = StepHistory(K_c=K, **many)
     found = SoleMotion.of("it", motion.mesh, times, history)
     np.testing.assert_array_equal(found.times, times[shown])
     assert len(found.places) == len(shown)
