@@ -4,6 +4,7 @@ Each block of keys is a dataclass; docs/soles.md explains all keys. Paths are
 relative to --data-root if given, else to the case file's folder.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -181,8 +182,11 @@ STAGES = (
     Stage(_FINE, 24, 2e-4, 0.2, 28),
     Stage(_FINE, 36, 2e-4, 0.2, 100),
 )
-# Default stages for a mesh that is no brick.
-OWN_STAGES = tuple(replace(stage, divisions=None) for stage in STAGES)
+
+
+def without_divisions(stages: Sequence[Stage]) -> tuple[Stage, ...]:
+    """The stages on the case's own mesh, as for one that is no brick."""
+    return tuple(replace(stage, divisions=None) for stage in stages)
 
 
 def stage_mesh(own: TetMesh, stage: Stage) -> TetMesh:
@@ -310,7 +314,7 @@ class Settings:
                 )
         self.material.material()
         if self.optimize.stages is None:
-            stages = STAGES if self.mesh.brick else OWN_STAGES
+            stages = STAGES if self.mesh.brick else without_divisions(STAGES)
             block = replace(self.optimize, stages=stages)
             object.__setattr__(self, "optimize", block)
 
@@ -426,11 +430,7 @@ class Setup:
                 force leaves the friction cone or would press the sole flat; a
                 fixed patch holds none of the sole, or all of it.
         """
-        root, friction, ground = (
-            path_of(data_root, "data_root"),
-            settings.contact.friction,
-            FLAT,
-        )
+        root, ground = path_of(data_root, "data_root"), FLAT
         check_data_root(root)
         mesh = settings.read_mesh(root, mesh_file)
         settings = settings.walking_on(mesh.nodes[mesh.contact, :2])
@@ -448,6 +448,7 @@ class Setup:
                 turned = load.rotation @ rotation_z(start.yaw)
                 load = replace(load, rotation=turned)
             replace(setup, load=load).check_load()
+            friction = settings.contact.friction
             found.append(load.bearable(friction, width, setup.up))
         load = found[0]
         if settings.loads:
@@ -594,9 +595,7 @@ class Setup:
         if self.mesh.is_block:
             return self._with_last_stage(divisions=None)
         stages = self.settings.optimize.stages
-        return self.optimizing(
-            stages=tuple(replace(s, divisions=None) for s in stages)
-        )
+        return self.optimizing(stages=without_divisions(stages))
 
     def _with_last_stage(self, **changes) -> "Setup":
         *stages, last = self.settings.optimize.stages

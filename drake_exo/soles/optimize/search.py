@@ -53,7 +53,7 @@ from drake_exo.soles.optimize.optimizer import (
 )
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.results import Step
-from drake_exo.soles.settings import Setup, Stage, stage_mesh
+from drake_exo.soles.settings import Setup, Stage, stage_mesh, without_divisions
 from drake_exo.soles.walking_pattern import Robot
 
 _CHECKPOINT_EVERY = 3  # iterations
@@ -605,7 +605,7 @@ def pareto_front(
     bounds = tuple(block.bounds)
     free = in_own_walk(setup).optimizing(c_rot_nm_per_rad=None)
     if not setup.mesh.is_block:
-        stages = tuple(replace(s, divisions=None) for s in stages)
+        stages = without_divisions(stages)
     brick = setup.sole(stage_mesh(setup.mesh, stages[1]))
     base = Step.of(setup, brick)
 
