@@ -137,13 +137,13 @@ def until_seat_off(
     """
     seated = np.flatnonzero(wrench.force[:, 1] >= CHAIR_SHARE * weight)
     if len(seated) == 0:
-        return PlanarWrench(0.0 * wrench.force, 0.0 * wrench.moment)
+        return wrench.scaled(0.0)
     after = np.searchsorted(seated, np.arange(len(time)))
     later = time[seated[np.minimum(after, len(seated) - 1)]]
     earlier = time[seated[np.maximum(after - 1, 0)]]
     away = np.minimum(np.abs(later - time), np.abs(time - earlier))
     share = 1.0 - minimum_jerk(away / _FADE_S)[0]
-    return PlanarWrench(share[:, None] * wrench.force, share * wrench.moment)
+    return wrench.scaled(share)
 
 
 @dataclass(frozen=True)

@@ -180,13 +180,10 @@ class PlanarWrench:
         )
         return PlanarWrench(self.force, held)
 
-    def reversed(self) -> "PlanarWrench":
-        """The opposite wrench: on the plate instead of on the body."""
-        return PlanarWrench(-self.force, -self.moment)
-
-    def doubled(self) -> "PlanarWrench":
-        """Wrench of two equal legs, from that of one."""
-        return PlanarWrench(2.0 * self.force, 2.0 * self.moment)
+    def scaled(self, factor: float | np.ndarray) -> "PlanarWrench":
+        """Force and moment times a factor, float or (N,)."""
+        force = np.asarray(factor)[..., None] * self.force
+        return PlanarWrench(force, factor * self.moment)
 
     def cut(self, rows) -> "PlanarWrench":
         """The wrench at some samples: a slice, mask or indices."""
@@ -258,5 +255,5 @@ def merge_plates(
     shifts = {side: middle - x.get(side, middle) for side in feet}
     moved = [w.shifted(shifts[side]) for side, w in feet.items()]
     if len(moved) == 1:
-        return moved[0].doubled(), shifts
+        return moved[0].scaled(2.0), shifts
     return moved[0] + moved[1], shifts

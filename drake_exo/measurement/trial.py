@@ -271,7 +271,7 @@ class Trial:
     def chair_loads(self) -> dict[str, PlanarWrench]:
         """Segment -> wrench (n,) of the chair, for inverse dynamics."""
         return {
-            name: PlanarWrench.of(share * self.chair.array)
+            name: self.chair.scaled(share)
             for name, share in self.chair_shares.items()
         }
 

@@ -306,7 +306,7 @@ def applied(
     parts.append(("pelvis", chair_wrench(tree, seat, q, v)))
     for name, w in interaction(tree, cuffs, q, v)[1].items():
         human, device = tree.cuffs[name]
-        parts += [(human, w), (device, w.reversed())]
+        parts += [(human, w), (device, w.scaled(-1.0))]
     return sum(tree.wrench_on_body(q, body, w.array) for body, w in parts)
 
 

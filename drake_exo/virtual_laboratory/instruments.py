@@ -561,8 +561,7 @@ class Laboratory:
         share += self.faults.left_share - 0.5
         feet = {"left": share, "right": 1.0 - share}
         wrenches = dict(movement.feet) or {
-            foot: PlanarWrench.of(s * movement.ground.array)
-            for foot, s in feet.items()
+            foot: movement.ground.scaled(s) for foot, s in feet.items()
         }
         wrenches["chair"] = movement.chair
         self._write(movement.name, p, self._disturbed(wrenches, rng))

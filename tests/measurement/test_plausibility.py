@@ -28,7 +28,6 @@ from drake_exo.files.opensim import (
 from drake_exo.files.tables import read_csv_table, write_csv_table
 from drake_exo.measurement import plausibility
 from drake_exo.measurement.plausibility import Evidence, misfit
-from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.model.segments import scale_human
 from drake_exo.study import Study, read_study
 from drake_exo.virtual_laboratory import synthetic
@@ -796,8 +795,8 @@ def test_a_device_that_nobody_measured_ends_before_anything_is_solved(
 @pytest.mark.parametrize(
     ("change", "name"),
     [
-        (lambda w: PlanarWrench(0.5 * w.force, 0.5 * w.moment), "newton"),
-        (lambda w: w.reversed(), "newton"),
+        (lambda w: w.scaled(0.5), "newton"),
+        (lambda w: w.scaled(-1.0), "newton"),
         (lambda w: w.shifted(0.3), "euler"),
     ],
 )
