@@ -107,8 +107,6 @@ class Iterate:
     iteration: int
     objective: float
     infeasibility: float
-    optimality: float
-    elapsed_seconds: float
     x: np.ndarray | None
 
 
@@ -273,7 +271,7 @@ def solve(
 
     def relaxed(program, y):
         """Solve an elastic program; None if that fails."""
-        watch = _Watch(program, "elastic", start, tell, stop)
+        watch = _Watch(program, "elastic", tell, stop)
         y, _, status = _attempt(program, y, soft, watch)
         return y if status in _ACCEPTED else None
 
@@ -281,7 +279,7 @@ def solve(
         for strategy in options.strategies:
             if strategy == "patient" and binding:
                 continue  # it takes long, and bounds explain the failure
-            watch = _Watch(problem, strategy, start, tell, stop)
+            watch = _Watch(problem, strategy, tell, stop)
             watches.append(watch)
             problem.use_exact_hessian(exact or strategy == "exact")
             try:
@@ -322,13 +320,12 @@ class _Watch:
         raised: first error raised in a callback, which ends the attempt.
     """
 
-    def __init__(self, problem, strategy, start, on_iterate, stop):
+    def __init__(self, problem, strategy, on_iterate, stop):
         self.gave_up, self.raised = False, None
         self._restoring = 0
         self._least, self._least_at = np.inf, 0
         self.problem = problem
         self.strategy = strategy
-        self.start = start
         self.on_iterate = on_iterate
         self.stop = stop
         self.current = None
@@ -349,19 +346,9 @@ class _Watch:
             key = (off if off > _FEASIBLE else 0.0, objective)
             if key < self.best_key:
                 self.best_key, self.best = key, self.current
-        if self.on_iterate is not None:
-            y = self.current
-            self.on_iterate(
-                Iterate(
-                    self.strategy,
-                    iteration,
-                    objective,
-                    inf_pr,
-                    inf_du,
-                    time.perf_counter() - self.start,
-                    None if y is None else self.problem.expand(y),
-                )
-            )
+        y = self.current
+        x = None if y is None else self.problem.expand(y)
+        self.on_iterate(Iterate(self.strategy, iteration, objective, inf_pr, x))
         self._judge(mode, iteration, max(inf_pr, inf_du))
         return not (self.stop.is_set() or self.gave_up or self.raised)
 

@@ -48,7 +48,6 @@ class Arrow:
         label: written at its tip, with its size; none if empty.
         opacity: 0 to 1.
         radius_m: of the shaft.
-        smallest_n: weaker forces are not drawn.
     """
 
     name: str
@@ -59,7 +58,6 @@ class Arrow:
     label: str = ""
     opacity: float = 1.0
     radius_m: float = 0.009
-    smallest_n: float = 1.0
 
 
 @dataclass(frozen=True)

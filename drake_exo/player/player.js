@@ -93,7 +93,7 @@
     const size = values ? Math.hypot(...f) : NaN;
     arrow.size = size;
     arrow.tip = null;
-    const seen = size >= arrow.smallest_n;
+    const seen = size >= 1;  // N; weaker forces are not drawn
     show(path, seen);
     if (!seen) return;
     const length = size * arrow.metres_per_newton;

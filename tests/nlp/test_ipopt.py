@@ -325,7 +325,7 @@ def test_an_iterate_is_judged_by_its_own_constraints():
     """Not by IPOPT's slacks, nor by where IPOPT restores feasibility."""
     program, _ = valleys(radius=3.0)
     watch = ipopt._Watch(
-        SparseProgram(program), "adaptive", 0.0, None, threading.Event()
+        SparseProgram(program), "adaptive", lambda _: None, threading.Event()
     )
     outside, inside = np.full(6, 2.0), np.full(6, 0.5)
     watch.accepted(outside)
@@ -341,7 +341,7 @@ def test_an_iterate_is_judged_by_its_own_constraints():
 
 def test_an_attempt_that_leads_nowhere_is_given_up():
     """Forty iterations in which the error does not fall by a tenth."""
-    watch = ipopt._Watch(None, "adaptive", 0.0, None, None)
+    watch = ipopt._Watch(None, "adaptive", None, None)
     watch._judge(0, 0, 1.0)
     for k in range(1, 41):
         watch._judge(0, k, 0.95)
@@ -351,11 +351,11 @@ def test_an_attempt_that_leads_nowhere_is_given_up():
     assert not watch.gave_up
     watch._judge(0, 81, 0.80)
     assert watch.gave_up
-    patient = ipopt._Watch(None, "patient", 0.0, None, None)
+    patient = ipopt._Watch(None, "patient", None, None)
     for k in range(200):
         patient._judge(1, k, 1.0)
     assert not patient.gave_up
-    lost = ipopt._Watch(None, "adaptive", 0.0, None, None)
+    lost = ipopt._Watch(None, "adaptive", None, None)
     for k in range(13):
         assert not lost.gave_up
         lost._judge(1, k, 0.5**k)
