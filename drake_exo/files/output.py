@@ -468,7 +468,6 @@ class Progress:
         total: number of steps, if known.
         interval_seconds: least time between two lines.
         stream: where to print; by default the current sys.stdout.
-        clock: monotonic clock [s]; replaced in tests.
     """
 
     def __init__(
@@ -478,31 +477,26 @@ class Progress:
         *,
         interval_seconds: float = 0.5,
         stream: TextIO | None = None,
-        clock=time.monotonic,
     ):
         self.title = title
         self.total = total
         self.interval_seconds = interval_seconds
         self._stream = stream
-        self._clock = clock
-        self._start = self._last = clock()
+        self._start = self._last = time.monotonic()
 
-    def update(self, text: str = "", done: int | None = None) -> bool:
-        """Print a line if the last one is old enough; True if printed."""
-        if self._clock() - self._last < self.interval_seconds:
-            return False
-        self._last = self._clock()
+    def update(self, text: str = "", done: int | None = None) -> None:
+        """Print a line if the last one is old enough."""
+        now = time.monotonic()
+        if now - self._last < self.interval_seconds:
+            return
+        self._last = now
         count = ""
         if done is not None:
             count = f"{done}/{self.total}" if self.total else f"{done}"
         parts = [p for p in (count, text) if p]
-        seconds = self._last - self._start
-        print(
-            f"{self.title}: {', '.join(parts)} ({seconds:.1f} s)",
-            file=self._stream or sys.stdout,
-            flush=True,
-        )
-        return True
+        seconds = now - self._start
+        told = f"{self.title}: {', '.join(parts)} ({seconds:.1f} s)"
+        print(told, file=self._stream or sys.stdout, flush=True)
 
 
 if TYPE_CHECKING:  # matplotlib takes half a second to load

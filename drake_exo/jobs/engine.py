@@ -238,36 +238,26 @@ def _chains(jobs: Sequence[Job]) -> dict[str, int]:
 class BatchProgress:
     """Prints counts, the jobs at work, and how long the rest will take.
 
+    Every 2 s on a terminal, every 30 s in a log.
+
     Args:
-        title: begins every line.
-        interval_seconds: between two reports; by default 2 s for a person, 30
-            s for a log.
+        title: begins every report.
         stream: to print to; by default sys.stdout as it is now.
-        clock: seconds, monotonic; for tests.
     """
 
-    def __init__(
-        self,
-        title: str,
-        interval_seconds: float | None = None,
-        stream: TextIO | None = None,
-        clock=time.monotonic,
-    ):
+    def __init__(self, title: str, stream: TextIO | None = None):
         self.title = title
-        self.stream = stream or sys.stdout
-        if interval_seconds is None:
-            interval_seconds = 2.0 if self.stream.isatty() else 30.0
-        self.interval_seconds = interval_seconds
-        self._clock = clock
-        self._start = self._last = clock()
+        self._stream = stream or sys.stdout
+        self._interval_s = 2.0 if self._stream.isatty() else 30.0
+        self._start = self._last = time.monotonic()
 
     def update(
         self, ended: Mapping[str, Ended], pool: Pool, jobs: Sequence[Job]
-    ) -> bool:
-        """Print if the last report is old enough; True if printed."""
-        now = self._clock()
-        if now - self._last < self.interval_seconds:
-            return False
+    ) -> None:
+        """Print if the last report is old enough."""
+        now = time.monotonic()
+        if now - self._last < self._interval_s:
+            return
         self._last = now
         running = pool.running()
         failed = sum(row.state != "done" for row in ended.values())
@@ -289,8 +279,7 @@ class BatchProgress:
         ]
         if len(oldest) > _SHOWN:
             lines.append(f"  and {len(oldest) - _SHOWN} more")
-        print("\n".join(lines), file=self.stream, flush=True)
-        return True
+        print("\n".join(lines), file=self._stream, flush=True)
 
 
 @dataclass(frozen=True)

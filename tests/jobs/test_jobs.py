@@ -1,7 +1,6 @@
 """Jobs in processes: order, failures, killed processes, memory."""
 
 import errno
-import io
 import os
 import pickle
 import signal
@@ -350,11 +349,12 @@ def alive(pid) -> bool:
         return False
 
 
-def test_progress_counts_and_estimates(tmp_path):
+def test_progress_counts_and_estimates(tmp_path, monkeypatch, capsys):
     log = tmp_path / "log.txt"
     log.write_text("first\niteration 7\n")
-    now, stream = [0.0], io.StringIO()
-    say = BatchProgress("batch", 2.0, stream, clock=lambda: now[0])
+    now = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    say = BatchProgress("batch")
     jobs = [Job(f"s{k}/check", "", log=str(log)) for k in range(4)]
     ended = {
         "s0/check": Ended("s0/check", "done", seconds=60.0),
@@ -362,10 +362,12 @@ def test_progress_counts_and_estimates(tmp_path):
     }
     pool = Recorded()
     pool.now = "s2/check"
-    assert not say.update(ended, pool, jobs)
-    now[0] = 3.0
-    assert say.update(ended, pool, jobs)
-    first, line = stream.getvalue().splitlines()
+    now[0] = 29.0
+    say.update(ended, pool, jobs)
+    assert not capsys.readouterr().out
+    now[0] = 31.0
+    say.update(ended, pool, jobs)
+    first, line = capsys.readouterr().out.splitlines()
     assert "2/4 done, 1 failed, 1 running, about 1 min 55 s left" in first
     assert line == "  s2/check, 5 s: iteration 7"
 
