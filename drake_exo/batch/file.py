@@ -208,15 +208,6 @@ class Entry:
     seed: int | None = None
 
 
-def read_batch(path: str | Path) -> BatchFile:
-    """Read a batch file.
-
-    Raises:
-        InputError: it says something that is not allowed.
-    """
-    return schema.load(path, BatchFile)
-
-
 def entries(batch: BatchFile, folder: Path) -> tuple[list[Entry], list[Entry]]:
     """Subjects and soles of a batch.
 

@@ -34,10 +34,10 @@ from drake_exo.batch.file import (
     check_key,
     file_class,
     is_sole,
-    read_batch,
     tasks_of,
 )
 from drake_exo.errors import InputError, first_line
+from drake_exo.files import schema
 from drake_exo.files.output import (
     FAILS,
     HOLDS,
@@ -414,7 +414,7 @@ def run_batch(
             something else.
     """
     path, out = (Path(os.path.realpath(p)) for p in (path, out))
-    batch = read_batch(path)
+    batch = schema.load(path, BatchFile)
     try:
         tasks = tasks_of(batch, path.parent)
         done = _done(tasks, out)

@@ -243,15 +243,15 @@ class ElasticProgram:
             if abs(excess[k]) < SIGNIFICANT or len(found) == _TOLD:
                 break
             i = int(self._variables[k])
-            program = self._problem.program
-            bound = self._problem.unknowns.bound_of(i, upper=excess[k] > 0.0)
+            program, known = self._problem.program, self._problem.unknowns
+            bounds = known.x_upper if excess[k] > 0.0 else known.x_lower
             signal, _, (unit, factor) = program.label_of(i)
             found.setdefault(
                 signal,
                 Excess(
                     program.variable_name(i),
                     factor * x[i],
-                    factor * bound,
+                    factor * bounds[i],
                     unit,
                 ),
             )

@@ -611,7 +611,3 @@ class Unknowns:
         if (self._direct[np.minimum(place, last)] != variables).any():
             raise ValueError("not an unknown by itself")
         return place
-
-    def bound_of(self, variable: int, upper: bool) -> float:
-        """Bound of a program variable in its own unit."""
-        return float((self.x_upper if upper else self.x_lower)[variable])

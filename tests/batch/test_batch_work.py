@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from drake_exo.batch import run
-from drake_exo.batch.file import Task, read_batch, tasks_of
+from drake_exo.batch.file import BatchFile, Task, tasks_of
 from drake_exo.batch.run import (
     _MARK,
     TASK,
@@ -20,6 +20,7 @@ from drake_exo.batch.run import (
     run_task,
 )
 from drake_exo.errors import InputError
+from drake_exo.files import schema
 from drake_exo.files.output import locked, write_json
 
 TASK_OF_BERT = Task(
@@ -250,7 +251,7 @@ def test_a_place_that_one_file_has_is_each_file_s_affair(tmp_path, other):
         + "laboratories: {seeds: [1]}\n"
         * (other != "a")
     )
-    for task in tasks_of(read_batch(path), tmp_path):
+    for task in tasks_of(schema.load(path, BatchFile), tmp_path):
         if task.entry == "a":
             (out / task.name).mkdir(parents=True)
             write_json(out / task.name / TASK, outcome(task, 0))
