@@ -16,7 +16,6 @@ import numpy as np
 from drake_exo.calibration.design_cuffs import Hold, Tried, hold
 from drake_exo.calibration.design_result import (
     DesignResult,
-    device_work,
     joint_norm,
     largest_rate,
     mean_force,
@@ -851,7 +850,7 @@ def _mean(values: Sequence[float]) -> float | None:
 
 
 def _measured_work(trial: Trial) -> float:
-    return 0.0 if trial.moments is None else device_work(trial)
+    return 0.0 if trial.moments is None else trial.device_work
 
 
 def _strap_unit(v: Variable) -> str:

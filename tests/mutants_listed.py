@@ -242,7 +242,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ),
         ("own - most, own + most)", "-most, most)"),
         ("np.deg2rad(limits.speed_deg_s)", "limits.speed_deg_s"),
-        ("device - (self._given(at) - self.wearer.drive(at))", "device"),
+        ("device - (at.device_moments - self.wearer.drive(at))", "device"),
         (
             "settings = replace(settings, weight=_LIGHT)",
             "settings = replace(settings, weight=10.0)",

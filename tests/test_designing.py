@@ -18,7 +18,6 @@ from drake_exo import designed, designing
 from drake_exo.calibration import design_cuffs
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_cuffs import Hold, Tried
-from drake_exo.calibration.design_result import device_work
 from drake_exo.calibration.design_variables import Variable
 from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.settings import (
@@ -237,7 +236,7 @@ def test_files(found, study, tmp_path):
         place = np.add(own.cuff_m(cuff), (moved.across_m, moved.along_m))
         assert (x, z) == pytest.approx(tuple(place), abs=1e-6)
     work = summary["support"]["before"]
-    own = sum(device_work(m.trial) for ms in found.before.values() for m in ms)
+    own = sum(m.trial.device_work for ms in found.before.values() for m in ms)
     assert work == pytest.approx(own)
 
 
@@ -624,7 +623,7 @@ def test_built_forces_stand_beside_the_forecast(found):
     for peak in built.peaks.values():
         assert peak.measured_after is not None
     assert built.support["measured_after"] == pytest.approx(
-        sum(map(device_work, trials))
+        sum(t.device_work for t in trials)
     )
     (legend,) = forces_figure(built).legends
     assert {t.get_text() for t in legend.get_texts()} == {

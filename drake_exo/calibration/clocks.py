@@ -139,7 +139,7 @@ def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
         x[:, device] = shown(x[:, device])
     moments, friction = trial.moments, trial.friction
     if moments is not None:
-        exo = moments[:, names.is_device_joint]
+        exo = trial.device_moments
         moments = moments + shared_moments(names, shown(exo) - exo)
     words = dict(trial.provenance.get("clocks", {}))
     for clock in own:

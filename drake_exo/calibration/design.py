@@ -248,8 +248,8 @@ class _Wearing(PhaseProblem):
     def _drive(self, movement: TrialProgram, at: Trial) -> None:
         """Tie the device's torques to today's and to the design."""
         names, posed = movement.coordinates, self._posed
-        device = names.is_device_joint
-        torques, today = movement.torque[:, device], at.moments[:, device]
+        torques = movement.torque[:, names.is_device_joint]
+        today = at.device_moments
         passive, slope = self.wearer.passive(at), self.wearer.slope(at)
         springs = self.wearer.springs
         angles, rates = (x[:, names.device_columns] for x in (at.q, at.v))
@@ -521,7 +521,7 @@ class _Wearing(PhaseProblem):
             return
         names = movement.coordinates
         drive = self.wearer.drive(at)
-        passive = self._given(at) - drive
+        passive = at.device_moments - drive
         for joint, limits in self._posed.settings.limits.drives.items():
             column = names.device.index(joint)
             own = passive[:, column]
@@ -567,7 +567,7 @@ class _Wearing(PhaseProblem):
             trials: solved, in the order of the wearer's.
         """
         return sum(
-            float(np.sum(way * self._given(t.sample(movement.grid.times))))
+            float(np.sum(way * t.sample(movement.grid.times).device_moments))
             for movement, t, way in zip(
                 self.movements, trials, self._ways, strict=True
             )
@@ -582,9 +582,6 @@ class _Wearing(PhaseProblem):
             np.concatenate([way.ravel() for way in self._ways]),
             np.concatenate([torque.ravel() for torque in torques]),
         )
-
-    def _given(self, trial: Trial) -> np.ndarray:
-        return trial.moments[:, trial.coordinates.is_device_joint]
 
     def _limit_support(self) -> None:
         """Keep the device's work over all trials near a share of today's."""
@@ -671,9 +668,9 @@ class _Wearing(PhaseProblem):
             limited["pressure", cuff] = 1e-3 * pressing / area
             limited[_RATE, cuff] = np.diff(pressing) / np.diff(at.times)
             limited["size", cuff] = np.abs(pressing)
-        given = assisted(at, design, passive=self.wearer.passive(at)).moments
-        device = given[:, movement.coordinates.is_device_joint]
-        power = device - (self._given(at) - self.wearer.drive(at))
+        given = assisted(at, design, passive=self.wearer.passive(at))
+        device = given.device_moments
+        power = device - (at.device_moments - self.wearer.drive(at))
         power *= at.v[:, movement.coordinates.device_columns]
         for i, joint in enumerate(movement.coordinates.device):
             limited["power", joint] = power[:, i]
@@ -685,7 +682,7 @@ class _Wearing(PhaseProblem):
             x,
             movement,
             (at.q, at.v, at.a),
-            given,
+            given.moments,
             self._under_segments(at),
             cuffs,
         )

@@ -231,11 +231,3 @@ def works(result: DesignResult) -> dict[str, float]:
         name: found.problem.work(found.trials)
         for name, found in result.wearers.items()
     }
-
-
-def device_work(trial: Trial) -> float:
-    """Work of the device's joints over a trial [J], by the trapezoid rule."""
-    names = trial.coordinates
-    torque = trial.moments[:, names.is_device_joint]
-    power = np.sum(torque * trial.v[:, names.device_columns], axis=1)
-    return float(np.trapezoid(power, trial.times))

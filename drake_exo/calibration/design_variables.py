@@ -216,7 +216,7 @@ def _driven(wearers: Sequence[Wearer], settings: DesignSettings) -> list[str]:
     most, drive = (
         np.max([np.abs(x).max(axis=0) for x in torques], axis=0)
         for torques in (
-            [t.moments[:, t.coordinates.is_device_joint] for _, t in trials],
+            [t.device_moments for _, t in trials],
             [w.drive(t) for w, t in trials],
         )
     )

@@ -210,10 +210,8 @@ class ErrorModel:
                 v[:, device, k] = -at.a[:, device]
                 # Recorded with the angles or computed from them: same lag.
                 if at.moments is not None:
-                    exo = at.moments[:, names.is_device_joint]
-                    moments[:, :, k] = shared_moments(
-                        names, -np.gradient(exo, at.times, axis=0)
-                    )
+                    rates = np.gradient(at.device_moments, at.times, axis=0)
+                    moments[:, :, k] = shared_moments(names, -rates)
             else:
                 for cuff, force in at.cuffs.items():
                     normal[cuff][:, k] = -np.gradient(force.normal, at.times)

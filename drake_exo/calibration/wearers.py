@@ -278,7 +278,7 @@ def assisted(
         return trial
     names = trial.coordinates
     share = trial.times / trial.duration
-    drive = trial.moments[:, names.is_device_joint] - passive
+    drive = trial.device_moments - passive
     angles = _device_angles(trial, contact)
     torques = design.torques(
         names.device, drive, angles, trial.v[:, names.device_columns], share
@@ -345,7 +345,7 @@ class Wearer:
         Zero if the torques are from the model of a device that does not carry
         itself: its springs and rotors are not drives.
         """
-        given = trial.moments[:, trial.coordinates.is_device_joint]
+        given = trial.device_moments
         by_model = self.device is not None and _is_modelled(trial)
         if by_model and not self.device.carries_itself:
             return np.zeros(given.shape)
@@ -655,10 +655,10 @@ class Size:
         for part in (q, v, a):
             part[:, x] *= self.height
         q[:, z] += (self.height - 1.0) * ankle_m
-        device = names.is_device_joint
         forces = model.tree.inverse_dynamics(q, v, a)
         moments = forces[:, names.joint_columns]
-        given = self.mass * self.height * trial.moments[:, device]
+        given = self.mass * self.height * trial.device_moments
+        device = names.is_device_joint
         moments = moments + shared_moments(names, given - moments[:, device])
         return replace(
             trial,

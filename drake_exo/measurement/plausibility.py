@@ -1068,9 +1068,8 @@ def load_checks(e: Evidence) -> Iterator[Check]:
         yield _one_sided(e, mats, file)
     if e.trial.moments is None:
         return
-    names = e.trial.coordinates
-    own = e.trial.moments[:, names.is_device_joint]
-    for name, moment in zip(names.device, own.T, strict=True):
+    names = e.trial.coordinates.device
+    for name, moment in zip(names, e.trial.device_moments.T, strict=True):
         found = float(np.abs(moment).max())
         yield e.check(
             "device_moment",
@@ -1465,8 +1464,7 @@ class _Difference:
             _FRICTION * np.tanh(v / _REST_RAD_S),
         ]
         if e.recording.moments is not None:
-            drive = trial.moments[:, trial.coordinates.is_device_joint]
-            parts.append(_DRIVE * drive)
+            parts.append(_DRIVE * trial.device_moments)
         joints = d.shape[1]
         step = trial.duration / (len(d) - 1)
         scale = np.sqrt(step / _CORRELATED_S) / _NOISE

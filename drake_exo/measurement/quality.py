@@ -250,15 +250,14 @@ def _notes(trial: Trial):
         yield f"markers of the model that the file lacks: {names}"
     moments = ", ".join(f"{k}: {v}" for k, v in said["moments"].items())
     yield f"joint moments: {moments}"
-    names = trial.coordinates
-    if names.device and trial.moments is not None:
+    names = trial.coordinates.device
+    if names and trial.moments is not None:
         # A wrong sign or unit shows only here, see docs/plausibility.md.
-        own = trial.moments[:, names.is_device_joint]
-        power = np.sum(own * trial.v[:, names.device_columns], axis=1)
-        most = zip(names.device, np.abs(own).max(axis=0), strict=True)
+        found = np.abs(trial.device_moments).max(axis=0)
+        most = zip(names, found, strict=True)
         yield (
             f"device: {', '.join(f'{n} up to {x:.3g} N m' for n, x in most)}; "
-            f"does {np.trapezoid(power, trial.times):+.3g} J on the movement"
+            f"does {trial.device_work:+.3g} J on the movement"
         )
     yield f"chair: {said['chair']}"
     for load in said.get("loads", ()):

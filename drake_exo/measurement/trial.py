@@ -233,6 +233,18 @@ class Trial:
             )
         return self.moments[:, place]
 
+    @property
+    def device_moments(self) -> np.ndarray:
+        """Columns (n, m) of `moments` at the device's m joints [N m]."""
+        return self.moments[:, self.coordinates.is_device_joint]
+
+    @property
+    def device_work(self) -> float:
+        """Work of the device's joints [J], by the trapezoid rule."""
+        rates = self.v[:, self.coordinates.device_columns]
+        power = np.sum(self.device_moments * rates, axis=1)
+        return float(np.trapezoid(power, self.times))
+
     def cuff(self, name: str) -> CuffForce:
         """Force of a cuff on the human.
 

@@ -628,10 +628,9 @@ class Laboratory:
         time = np.arange(0.0, movement.times[-1], 1.0 / DEVICE_RATE_HZ)
         at = time - clocks.device
         names = movement.coordinates
-        exo = names.is_device_joint
         angles = _sampled(movement, movement.q[:, names.device_columns], at)
         angles = angles + self.faults.encoder_offset_rad
-        moments = _sampled(movement, movement.moments[:, exo], at)
+        moments = _sampled(movement, movement.device_moments, at)
         noise = rng.normal(size=(2, *angles.shape))
         if "encoder_noise" in self.disturbances:
             angles = angles + _ANGLE_NOISE * noise[0]

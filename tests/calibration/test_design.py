@@ -11,7 +11,6 @@ from drake_exo.calibration import design as posed
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_cuffs import fewer
 from drake_exo.calibration.design_result import (
-    device_work,
     norm_of,
     works,
     worn_norm,
@@ -260,7 +259,7 @@ def test_the_forecast_is_what_the_design_promised(found, in_device, driven):
     assert norm_of([again], SETTINGS).newton == pytest.approx(
         found.norm_n, rel=0.05
     )
-    assert device_work(again) == pytest.approx(device_work(promised), rel=0.02)
+    assert again.device_work == pytest.approx(promised.device_work, rel=0.02)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from worn import wearer as worn
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_result import (
     Norm,
-    device_work,
     joint_norm,
     norm_of,
     works,
@@ -533,7 +532,7 @@ def test_the_device_does_the_work_that_it_is_told_to(wearer, today):
     i = problem.program.indices(np.asarray(binding.variables()))
     np.testing.assert_allclose(A @ x[i], e.upper_bound())
     # By the trapezoid rule it is nearly the same.
-    assert device_work(own) == pytest.approx(whole, rel=6e-6)
+    assert own.device_work == pytest.approx(whole, rel=6e-6)
     assert works(today)["somebody"] == pytest.approx(whole)
 
 
@@ -708,7 +707,7 @@ def test_peaks_and_work_of_a_trial(wearer, today):
         np.trapezoid(own.moment(j) * own.velocity(j), own.times)
         for j in TORQUES_NM
     )
-    assert device_work(own) == pytest.approx(work)
+    assert own.device_work == pytest.approx(work)
 
 
 def test_largest_deflections_and_moments(wearer, today):

@@ -839,9 +839,9 @@ def loaded(normal, moment):
             report={"forward_share": 0.0},
         )
     ]  # fmt: skip
-    e.trial.coordinates.is_device_joint = np.arange(6) >= 3
     e.trial.moments = np.zeros((2, 6))
     e.trial.moments[1, 4] = moment
+    e.trial.device_moments = e.trial.moments[:, 3:]
     return list(plausibility.load_checks(e))
 
 

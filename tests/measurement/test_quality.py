@@ -146,17 +146,12 @@ def test_what_was_done_to_a_trial_is_listed(assessed):
 
 
 def test_what_the_device_does_is_told(assessed):
-    """-20 N m at 1 rad/s for 1.5 s, and half of that the other way."""
     moments = np.full((N, 3), [7.0, -20.0, 10.0])
     device = {
-        "times": np.linspace(0.0, 1.5, N),
         "moments": moments,
-        "v": np.ones((N, 3)),
-        "coordinates": SimpleNamespace(
-            device=("exo_knee", "exo_hip"),
-            is_device_joint=np.array([False, True, True]),
-            device_columns=np.array([1, 2]),
-        ),
+        "device_moments": moments[:, 1:],
+        "device_work": -15.0,
+        "coordinates": SimpleNamespace(device=("exo_knee", "exo_hip")),
     }
     told = (
         "device: exo_knee up to 20 N m, exo_hip up to 10 N m; does -15 J on "

@@ -213,6 +213,18 @@ def test_signals_that_are_not_known_are_refused(trial, whole):
         whole.cuff("pelvis")
 
 
+def test_work_of_the_device_is_that_of_its_own_joints():
+    """-20 N m at 1 rad/s for 1.5 s; the person's do not count."""
+    times, zero = np.linspace(0.0, 1.5, 4), np.zeros((4, len(NAMES)))
+    ground = PlanarWrench.of(np.zeros((4, 3)))
+    moments = np.full((4, 3), [7.0, 9.0, -20.0])
+    moved = Trial(
+        "a", NAMES, times, zero, zero + 1.0, zero, ground, moments=moments
+    )
+    assert moved.device_moments.tolist() == [[-20.0]] * 4
+    assert moved.device_work == pytest.approx(-30.0)
+
+
 def test_lags_are_those_of_the_recording(trial):
     assert trial.lags_s == {}
     said = {"delays_s": {"forces": 0.013}}
