@@ -6,12 +6,7 @@ import numpy as np
 from matplotlib.image import imsave
 
 from drake_exo.model.plant import nominal_model
-from drake_exo.report.scene import (
-    HALFWAY_DEG,
-    SEATED_DEG,
-    STANDING_DEG,
-    Scene,
-)
+from drake_exo.report.scene import Scene
 
 _FOLDER = Path(__file__).parent / "pictures"
 
@@ -28,9 +23,9 @@ def main() -> None:
     poses = [
         coupled.upright_pose(joints, offsets)
         for joints, offsets in (
-            (SEATED_DEG, (-1.0, -2.0, 2.0)),
-            (HALFWAY_DEG, (-1.0, -3.0, 2.0)),
-            (STANDING_DEG, (0.0, 0.0, 0.0)),
+            ((8.0, 92.0, 84.0), (-1.0, -2.0, 2.0)),
+            ((20.0, 60.0, 75.0), (-1.0, -3.0, 2.0)),
+            ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
         )
     ]
     rise = [coupled.render(q, width=520, height=680) for q in poses]

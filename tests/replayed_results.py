@@ -19,7 +19,7 @@ from drake_exo.files.output import Verdict, write_json
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.plant import nominal_model
-from drake_exo.report.scene import SEATED_DEG, Scene
+from drake_exo.report.scene import Scene
 
 MODEL = nominal_model("coupled")
 TIMES = np.linspace(0.0, 1.0, 101)
@@ -55,7 +55,7 @@ CONTACT = ContactModel(
 
 def rise():
     """Positions (101, 9) from sitting to standing, the device behind."""
-    seated = Scene(MODEL).upright_pose(SEATED_DEG)
+    seated = Scene(MODEL).upright_pose((8.0, 92.0, 84.0))
     q = np.linspace(seated, np.r_[seated[:3], np.zeros(6)], len(TIMES))
     q[:, 0] += 0.3  # the laboratory's origin is elsewhere
     q[:, MODEL.coordinates.device_columns] -= 0.03

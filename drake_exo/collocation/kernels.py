@@ -283,7 +283,7 @@ class FootGroundKernel:
         wrench, d = sphere_wrench_derivatives(
             self.law, *motion, p[0], p[1], p[4], self.constants
         )
-        # (n, 3, 8): force and moment by WRENCH_INPUTS.
+        # (n, 3, 8): force and moment by all eight arguments.
         d_moment = (
             wrench.point_z * d[0]
             - wrench.point_x * d[1]

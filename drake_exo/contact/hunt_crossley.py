@@ -360,27 +360,6 @@ def sphere_wrench(
     return SphereWrench(friction, normal, center_x, center_z - arm)
 
 
-# Arguments in the order of the derivatives by them.
-FORCE_INPUTS = (
-    "indentation",
-    "rate",
-    "slip_velocity",
-    "stiffness",
-    "dissipation",
-    "radius",
-)
-WRENCH_INPUTS = (
-    "center_x",
-    "center_z",
-    "velocity_x",
-    "velocity_z",
-    "pitch_rate",
-    "stiffness",
-    "dissipation",
-    "radius",
-)
-
-
 def _gate(sharpness, value):
     """`gate` and its derivative by `value`."""
     tanh = np.tanh(sharpness * value)
@@ -510,7 +489,7 @@ def sphere_force_derivatives(
 
     Returns:
         The forces, and derivatives of shape (2, 6, ...): normal, friction by
-        FORCE_INPUTS.
+        the arguments from indentation to radius.
     """
     p = checked_constants(law, constants)
     x, x_dot, v, k, c, r = (
@@ -565,7 +544,7 @@ def sphere_wrench_derivatives(
 
     Returns:
         The wrench, and derivatives of shape (4, 8, ...): force_x, force_z,
-        point_x, point_z by WRENCH_INPUTS.
+        point_x, point_z by the arguments from center_x to radius.
     """
     indentation = radius - np.asarray(center_z, dtype=float)
     arm = contact_arm(law, indentation, radius)

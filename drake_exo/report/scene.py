@@ -200,7 +200,7 @@ class Scene:
             False,
         )
         image = self.geometry_query().RenderColorImage(
-            camera, self.world_frame_id, view.pose()
+            camera, scene.world_frame_id(), view.pose()
         )
         colours = image.data[:, :, :3].reshape(height, fine, width, fine, 3)
         return np.round(colours.mean(axis=(1, 3))).astype(np.uint8)
@@ -209,11 +209,6 @@ class Scene:
         """The QueryObject of the current pose."""
         port = self._scene_graph.get_query_output_port()
         return port.Eval(self._scene_graph.GetMyContextFromRoot(self.context))
-
-    @property
-    def world_frame_id(self):
-        """The SceneGraph's world frame."""
-        return self._scene_graph.world_frame_id()
 
 
 def _renderer():
@@ -299,12 +294,6 @@ def add_floor(meshcat: Meshcat, centre_x_m: float) -> None:
         1.0,
         Rgba(0.70, 0.72, 0.75),
     )
-
-
-# Angles [deg] of ankle, knee and hip that a rise from a chair passes through.
-SEATED_DEG = (8.0, 92.0, 84.0)
-HALFWAY_DEG = (20.0, 60.0, 75.0)
-STANDING_DEG = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,9 @@ from drake_exo.model.description import fit_exoskeleton
 from drake_exo.model.plant import Model, nominal_model
 from drake_exo.model.segments import scale_human
 from drake_exo.report import scene
-from drake_exo.report.scene import (
-    HALFWAY_DEG,
-    STANDING_DEG,
-    Scene,
-)
+from drake_exo.report.scene import Scene
+
+HALFWAY_DEG, STANDING_DEG = (20.0, 60.0, 75.0), (0.0, 0.0, 0.0)
 
 
 def height_of(scene, q, frame):
