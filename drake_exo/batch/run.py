@@ -20,7 +20,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -439,8 +439,10 @@ def _run_all(out, tasks, done, todo, open_pool, parse, near) -> Batch:
     interrupted = False
     if todo:
         jobs = [_job(task, out, parse, near) for task in todo]
-        ready, held = _without_failed(jobs, done)
-        ended |= {row.name: row for row in held}
+        before = {
+            name: Ended(name, "done" if row.is_solved else "failed")
+            for name, row in done.items()
+        }
 
         def end(row: Ended) -> None:
             ended[row.name] = row
@@ -448,7 +450,7 @@ def _run_all(out, tasks, done, todo, open_pool, parse, near) -> Batch:
 
         try:
             with open_pool() as pool:
-                run_jobs(ready, pool, end, BatchProgress("batch"))
+                run_jobs(jobs, pool, end, BatchProgress("batch"), before)
         except KeyboardInterrupt:
             interrupted = True
     found = done | {
@@ -550,26 +552,6 @@ def _job(task: Task, out: Path, parse: str, near: Path) -> Job:
         tuple(task.needs.values()),
         str(log_of(task, out)),
     )
-
-
-def _without_failed(
-    jobs: list[Job], done: dict[str, Outcome]
-) -> tuple[list[Job], list[Ended]]:
-    """Jobs that can run, without needs that are done, and those that cannot."""
-    ready, held = [], {}
-    for job in jobs:
-        lacking = [
-            need
-            for need in job.needs
-            if need in held or (need in done and not done[need].is_solved)
-        ]
-        if lacking:
-            reason = f"not begun: {lacking[0]} was not done"
-            held[job.name] = Ended(job.name, "skipped", error=reason)
-        else:
-            needs = tuple(need for need in job.needs if need not in done)
-            ready.append(replace(job, needs=needs))
-    return ready, list(held.values())
 
 
 def _outcome(task: Task, row: Ended | None, out: Path) -> Outcome:

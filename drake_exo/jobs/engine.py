@@ -23,7 +23,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
+from collections import ChainMap, Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -149,6 +149,7 @@ def run_jobs(
     pool: Pool,
     on_end: Callable[[Ended], None] | None = None,
     progress: BatchProgress | Heard | None = None,
+    before: Mapping[str, Ended] | None = None,
 ) -> dict[str, Ended]:
     """Run jobs, each once those that it needs are done.
 
@@ -160,6 +161,8 @@ def run_jobs(
         pool: that runs them; left open.
         on_end: called with every job as it ends.
         progress: updated about once a second.
+        before: name -> how it ended, of jobs of earlier runs that may be
+            needed.
 
     Returns:
         name -> how it ended, in the order given.
@@ -167,7 +170,8 @@ def run_jobs(
     Raises:
         InputError: a job needs itself or a missing one, or shares a name.
     """
-    chain = _chains(jobs)
+    before = before or {}
+    chain = _chains(jobs, before)
     order = sorted(jobs, key=lambda job: -chain[job.name])
     ended: dict[str, Ended] = {}
 
@@ -178,7 +182,7 @@ def run_jobs(
 
     waiting = list(order)
     while len(ended) < len(jobs):
-        waiting = _begin(waiting, ended, pool, end)
+        waiting = _begin(waiting, ChainMap(ended, before), pool, end)
         if len(ended) == len(jobs):
             break
         for row in pool.wait(POLL_SECONDS):
@@ -210,7 +214,7 @@ def _begin(waiting, ended, pool, end) -> list[Job]:
     return left
 
 
-def _chains(jobs: Sequence[Job]) -> dict[str, int]:
+def _chains(jobs: Sequence[Job], before: Mapping[str, Ended]) -> dict[str, int]:
     """Length of the longest chain of jobs that begins with each, by name."""
     names = Counter(job.name for job in jobs)
     for name, count in names.items():
@@ -219,11 +223,12 @@ def _chains(jobs: Sequence[Job]) -> dict[str, int]:
     followers: dict[str, list[str]] = {name: [] for name in names}
     for job in jobs:
         for need in job.needs:
-            if need not in names:
+            if need in names:
+                followers[need].append(job.name)
+            elif need not in before:
                 raise InputError(
                     f"{job.name} needs {need!r}, which is not a job"
                 )
-            followers[need].append(job.name)
     found: dict[str, int] = {}
     try:
         for name in TopologicalSorter(followers).static_order():

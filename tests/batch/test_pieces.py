@@ -124,19 +124,6 @@ def test_the_last_line_of_a_log_is_told(tmp_path):
     assert run._last_line(log) == "it said nothing"
 
 
-def test_jobs_that_need_what_failed_are_never_begun():
-    jobs = [Job("b", "m:f", needs=("a",)), Job("c", "m:f", needs=("b", "d")),
-            Job("e", "m:f", needs=("d",))]  # fmt: skip
-    done = {"a": SimpleNamespace(is_solved=False),
-            "d": SimpleNamespace(is_solved=True)}  # fmt: skip
-    ready, held = run._without_failed(jobs, done)
-    assert [(j.name, j.needs) for j in ready] == [("e", ())]
-    assert [(h.name, h.state, h.error) for h in held] == [
-        ("b", "skipped", "not begun: a was not done"),
-        ("c", "skipped", "not begun: b was not done"),
-    ]
-
-
 def died(monkeypatch, code, said=b"", attempt=3, memory_mb=None):
     """How a job ends whose process has, 4 s after it began."""
     worker = Worker(memory_mb)

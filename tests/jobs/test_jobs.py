@@ -96,6 +96,23 @@ def test_what_needs_a_failure_is_skipped_and_the_rest_goes_on():
     assert {row.name for row in told} == set(ended)
 
 
+def test_what_needs_a_failure_of_an_earlier_run_is_skipped():
+    jobs = [
+        Job("b", "", needs=("a",)),
+        Job("c", "", needs=("b", "d")),
+        Job("e", "", needs=("d",)),
+    ]
+    before = {"a": Ended("a", "failed"), "d": Ended("d", "done")}
+    pool = Recorded()
+    ended = run_jobs(jobs, pool, before=before)
+    assert pool.begun == ["e"]
+    assert [(r.name, r.state, r.error) for r in ended.values()] == [
+        ("b", "skipped", "not begun: a was not done"),
+        ("c", "skipped", "not begun: b was not done"),
+        ("e", "done", ""),
+    ]
+
+
 @pytest.mark.parametrize(
     ("needs", "words"),
     [(("missing",), "is not a job"), (("b",), "needs itself")],
