@@ -118,7 +118,7 @@ def _of_csv(path: Path) -> list[Section]:
         return [_plates(*read_plate_csv(path))]
     if "Format Version" in first:
         return [_markers(read_markers_csv(path))]
-    cells = first.split(",")
+    cells = first.replace('"', "").split(",")
     if [cell.strip().lower() for cell in cells[:2]] == ["row", "column"]:
         return [_places(path)]
     if ";" in cells[0] and len(cells) > 1:

@@ -11,6 +11,7 @@ from drake_exo.files.tables import (
     UNITS,
     check_gaps,
     check_increasing,
+    comma_separated,
     number_rows,
     read_text,
     shown,
@@ -117,7 +118,7 @@ def read_pressure_csv(
     used = [i for i, line in enumerate(lines) if line.strip()]
     if len(used) < 3:
         raise InputError(f"{path}: holds fewer than two frames of pressure")
-    head = lines[used[0]].split(",")
+    head = comma_separated(path, lines[used[0]])
     first = head[0]
     scale = _unit(path, first)
     time = re.match(r"\s*time\s*\[\s*(m?s)\s*\]", first, re.IGNORECASE)
@@ -147,7 +148,7 @@ def read_places(path: str | Path) -> np.ndarray:
             position that is missing or beyond 1e6.
     """
     head, *rows = read_text(path).splitlines() or [""]
-    named = [name.strip().lower() for name in head.split(",")]
+    named = [n.strip().lower() for n in comma_separated(path, head)]
     if named != _PLACE and sorted(named) == sorted(_PLACE):
         raise InputError(
             f"{path}:1: columns are {', '.join(named)}; write them in the "

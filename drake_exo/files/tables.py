@@ -470,7 +470,7 @@ def read_csv_table(path: str | Path) -> Table:
 
 
 def comma_separated(path, header: str) -> list[str]:
-    """Split a CSV file's first line into cells.
+    """Split a CSV file's first line into cells, which may be quoted.
 
     Raises:
         InputError: semicolons or tabs separate them.
@@ -481,7 +481,7 @@ def comma_separated(path, header: str) -> list[str]:
                 f"{path}:1: {name} separate the columns; export it with "
                 "commas between columns and decimal points"
             )
-    return header.split(",")
+    return header.replace('"', "").split(",")
 
 
 def check_count(path, text: str | None, count: int, key, what) -> None:
@@ -512,7 +512,7 @@ def _header(path, cells: list[str]) -> tuple[list[str], list[str]]:
             raise InputError(
                 f"{path}:1: column {shown(cell)!r} names no unit that is "
                 f"known; write it as 'name [unit]' with one of "
-                f"{', '.join(UNITS)}"
+                f"{', '.join(UNITS)}, or leave the column out"
             )
         names.append(match["name"])
         units.append(unit)

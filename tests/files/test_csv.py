@@ -21,6 +21,16 @@ def test_units_come_from_the_header(tmp_path):
     np.testing.assert_allclose(table.column("exo_knee_moment"), [1.0, 2.0])
 
 
+def test_names_may_be_quoted(tmp_path):
+    """As R and others write them."""
+    head, rest = TEXT.split("\n", 1)
+    quoted = ",".join(f'"{name}"' for name in head.split(","))
+    found = read_csv_table(written(tmp_path, f"{quoted}\n{rest}"))
+    plain = read_csv_table(written(tmp_path, TEXT))
+    assert (found.names, found.units) == (plain.names, plain.units)
+    np.testing.assert_array_equal(found.values, plain.values)
+
+
 def test_comes_back_as_written(tmp_path):
     rng = np.random.default_rng(0)
     table = Table(np.arange(5) * 0.01, ("a", "b"), rng.normal(size=(5, 2)))
@@ -35,6 +45,7 @@ def test_comes_back_as_written(tmp_path):
     [
         ("exo_knee [deg]", "exo_knee", "names no unit"),
         ("[deg]", "[grad]", "names no unit that is known"),
+        ("[Nm]\n", "[Nm],EMG [mV]\n", r"'EMG \[mV\]' .* leave the column out"),
         ("time [ms]", "frame [s]", "first column must be 'time"),
         ("time [ms]", "time [deg]", "first column must be 'time"),
         ("exo_knee_moment [Nm]", "exo_knee [deg]", "two columns are named"),

@@ -138,6 +138,9 @@ def test_csv_of_signals_and_of_pressure(tmp_path):
     (tmp_path / "cells.csv").write_text("row,column,x,y,z\n1,1,a,2,3\n")
     with pytest.raises(InputError, match=r"cells\.csv:2: holds text among"):
         inspect(tmp_path / "cells.csv")
+    rows[0] = '"row","column","x","y","z"'
+    (tmp_path / "cells.csv").write_text("\n".join(rows) + "\n")
+    assert text(tmp_path / "cells.csv") == found
 
 
 @pytest.mark.parametrize("ending", ["stl", "obj", "ply", "vtk"])

@@ -138,6 +138,7 @@ def test_csv_of_several_mats(tmp_path):
         ("\n" + csv().replace("0.04", "\nx"), "p.csv:6: holds text"),
         ("\n" + csv(time="t"), "p.csv:2: the first column must"),
         (csv()[:54], "fewer than two frames"),
+        (csv().replace(",", ";"), "p.csv:1: semicolons separate the columns"),
     ],
 )
 def test_refuses_csv(tmp_path, text, words):

@@ -229,6 +229,9 @@ def test_cells_may_be_placed_one_by_one(tmp_path):
     (tmp_path / "cells.csv").write_text(turned)
     with pytest.raises(InputError, match="in the order row, column, x, y, z"):
         place_cells(surface, where, 1, 2, tmp_path)
+    (tmp_path / "cells.csv").write_text("\n".join(rows).replace(",", ";"))
+    with pytest.raises(InputError, match="csv:1: semicolons separate"):
+        place_cells(surface, where, 1, 2, tmp_path)
     (tmp_path / "cells.csv").write_text("row\n\n1,one")
     with pytest.raises(InputError, match="csv:3: has 2 values where 5"):
         place_cells(surface, where, 1, 2, tmp_path)
