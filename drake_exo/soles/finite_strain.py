@@ -368,15 +368,14 @@ class FiniteHistory:
     Attributes:
         states: State of every sample, None if there is none.
         K_c: Cartesian stiffness about the ZMP, NaN where failed, (N, 6, 6).
-        reports: Convergence of every sample.
-        reached: Part of the way from the sample before (at first, from no
-            load) for which an equilibrium was found, (N,); 1 if converged.
+        reports: Convergence of every sample. `reached` is the part of the way
+            from the sample before (at first, from no load) for which an
+            equilibrium was found; 1 if converged.
     """
 
     states: list[FiniteState | None]
     K_c: np.ndarray
     reports: list[Convergence]
-    reached: list[float]
 
     @property
     def converged(self) -> np.ndarray:
@@ -405,22 +404,20 @@ def follow(
     count = len(load.times)
     out = Convergence(False, 0, np.inf, "left out after a failure")
     history = FiniteHistory(
-        [None] * count, np.full((count, 6, 6), np.nan), [out] * count,
-        [0.0] * count,
+        [None] * count, np.full((count, 6, 6), np.nan), [out] * count
     )  # fmt: skip
     for q in range(count):
         if q in load.begins:
             target = load.target(q, start, ground)
-            state, report, reached = _enter(
+            state, report = _enter(
                 sole, solver, target, load.largest_force, None if q else entry
             )
         else:
             reference = solver.places(state)
             target = load.target(q, reference, ground)
             before = load.target(q - 1, reference, ground)
-            state, report, reached = lead(solver, state, before, target)
+            state, report = lead(solver, state, before, target)
         history.states[q], history.reports[q] = state, report
-        history.reached[q] = reached
         if not report.converged:
             break
         history.K_c[q] = solver.cartesian_stiffness(state, target)
@@ -430,30 +427,31 @@ def follow(
 
 
 def _enter(sole, solver, target: Target, largest: float, known: State | None):
-    """Solve a first sample from small strain; state, report, part reached."""
+    """Solve a first sample from small strain; state and report."""
     small = ContactSolver.of(sole, solver.law, ground=solver.ground)
     best = None
     for part in _ENTRIES:
         aim = replace(
             target, force=part * target.force, moment=part * target.moment
         )
-        found, reached = None, 0.0
+        found = None
         guess = known if part == 1.0 else None
         if guess is None:
             guess, report = first_step(small, aim, part * largest)
+            report.reached = 0.0  # in finite strain
         if guess is not None:
             u = sole.displacement(guess.F @ guess.R)
             state = FiniteState(guess.F, guess.O, guess.R, u)
             state, report = solver.solve(state, aim)
             if report.converged:
                 entry = report.iterations
-                found, report, way = lead(solver, state, aim, target)
+                found, report = lead(solver, state, aim, target)
                 report.iterations += entry
-                reached = part + way * (1.0 - part)
+                report.reached = part + report.reached * (1.0 - part)
         if report.converged:
-            return found, report, 1.0
-        if best is None or reached > best[2]:
-            best = found, report, reached
+            return found, report
+        if best is None or report.reached > best[1].reached:
+            best = found, report
     return best
 
 
@@ -553,7 +551,7 @@ def _failures(finite: FiniteHistory, rows: np.ndarray) -> list[dict]:
     return [
         {
             "sample": int(rows[q] + 1),
-            "reached": finite.reached[q],
+            "reached": finite.reports[q].reached,
             "message": finite.reports[q].message,
         }
         for q in np.flatnonzero(~finite.converged)
@@ -569,7 +567,7 @@ def _sample(
     """
     row = {
         "converged": bool(finite.converged[q]),
-        "reached": float(finite.reached[q]),
+        "reached": float(finite.reports[q].reached),
     }
     shapes = {"small": 3 * [np.nan], "finite": 3 * [np.nan]}
     if small.converged[q]:

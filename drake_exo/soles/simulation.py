@@ -295,7 +295,7 @@ def follow_load(
         if report.converged:
             return new, report
         spent = report.iterations
-    state, report, _ = lead(solver, state, before, target)
+    state, report = lead(solver, state, before, target)
     report.iterations += spent
     return state, report
 
@@ -304,8 +304,7 @@ def lead(solver, state, before: Target, target: Target):
     """Move the load from `before` (equilibrium `state`) to `target` in parts.
 
     A part that fails is halved. In small or finite strain; the references are
-    the target's all along. Returns the last equilibrium, the report and the
-    part of the way reached.
+    the target's all along. Returns the last equilibrium and the report.
     """
     done, step, total = 0.0, 1.0, 0
     while done < 1.0 and step >= _LEAST_STEP:
@@ -316,11 +315,11 @@ def lead(solver, state, before: Target, target: Target):
             state, done, step = trial, aim, 2.0 * step
         else:
             step *= 0.5
-    report.iterations = total
+    report.iterations, report.reached = total, done
     report.converged = done >= 1.0
     if not report.converged:
         report.message += f"; no equilibrium found beyond {done:.3f} of the way"
-    return state, report, done
+    return state, report
 
 
 def refine_time(

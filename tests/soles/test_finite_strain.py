@@ -190,17 +190,17 @@ class _Stubborn:
 def test_the_way_is_bisected():
     before = Target(np.zeros(3), np.zeros(2), None)
     target = replace(before, force=np.ones(3))
-    state, report, reached = lead(_Stubborn(2.0), 0.0, before, target)
+    state, report = lead(_Stubborn(2.0), 0.0, before, target)
     assert report.converged
-    assert state == reached == 1.0
+    assert state == report.reached == 1.0
 
 
 def test_a_collapse_is_said_plainly():
     before = Target(np.zeros(3), np.zeros(2), None)
     target = replace(before, force=np.ones(3))
-    _, report, reached = lead(_Stubborn(0.7), 0.0, before, target)
+    _, report = lead(_Stubborn(0.7), 0.0, before, target)
     assert not report.converged
-    assert 0.69 < reached <= 0.7
+    assert 0.69 < report.reached <= 0.7
     assert "no equilibrium found beyond 0.69" in report.message
 
 
@@ -211,12 +211,12 @@ def test_samples_after_a_collapse_are_left_out(sole, law):
     force[2] = [400.0, 0.0, 100.0]
     history = follow(sole, law, as_load(force, zmp), START)
     assert history.converged.tolist() == [True, True, False, False, False]
-    assert len(history.states) == len(history.reached) == 5
-    assert 0 < history.reached[2] < 1
+    assert len(history.states) == len(history.reports) == 5
+    assert 0 < history.reports[2].reached < 1
     assert "no equilibrium" in history.reports[2].message
     assert "left out" in history.reports[3].message
     assert np.isnan(history.K_c[2:]).all()
     # The way to it ends where the cone does.
-    way = history.reached[2]
+    way = history.reports[2].reached
     F = force[1] + way * (force[2] - force[1])
     assert np.hypot(F[0], F[1]) == pytest.approx(0.8 * F[2], rel=0.02)

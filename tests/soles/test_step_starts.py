@@ -199,14 +199,15 @@ def _ends():
 def test_a_way_is_halved_and_doubled():
     state, before, target = _ends()
     reach = Reach(0.3)
-    found, report, done = lead(reach, state, before, target)
+    found, report = lead(reach, state, before, target)
     np.testing.assert_allclose(
         reach.tried, [1, 0.5, 0.25, 0.75, 0.5, 1, 0.75, 1]
     )
-    assert found.F[0, 0] == 1.0 and done == 1.0 and report.converged
+    assert found.F[0, 0] == report.reached == 1.0 and report.converged
     assert report.iterations == 5 * len(reach.tried)
-    found, report, done = lead(Reach(9, 0.6), state, before, target)
+    found, report = lead(Reach(9, 0.6), state, before, target)
     assert not report.converged
+    done = report.reached
     assert done == 153 / 256 <= 0.6
     assert found.F[0, 0] == done
     assert f"beyond {done:.3f} of the way" in report.message

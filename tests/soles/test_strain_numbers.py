@@ -155,7 +155,8 @@ def _fake(monkeypatch, fails, ways):
     def lead(solver, state, before, target):
         part = float(before.force[2]) / 100
         way = ways.get(part, 1.0)
-        return f"{state} on", Convergence(way == 1.0, 4, 0.0), way
+        report = Convergence(way == 1.0, 4, 0.0, reached=way)
+        return f"{state} on", report
 
     def first_step(small, aim, largest):
         assert largest == pytest.approx(500 * aim.force[2] / 100)
@@ -175,19 +176,19 @@ def _fake(monkeypatch, fails, ways):
 
 
 def test_the_first_sample_is_entered_at_a_part_of_its_load(monkeypatch):
-    asked, (state, report, reached) = _fake(monkeypatch, (1.0, 0.5), {})
+    asked, (state, report) = _fake(monkeypatch, (1.0, 0.5), {})
     assert asked == [(1.0, 8.0), (0.5, 4.0), (0.25, 2.0)]
-    assert (state, reached) == ("at 0.25 on", 1.0)
+    assert (state, report.reached) == ("at 0.25 on", 1.0)
     assert report.converged and report.iterations == 7
 
 
 def test_of_ways_that_end_the_longest_is_kept(monkeypatch):
     """0.25 and 0.8 of the rest; 0.1 and 0.9 of the rest: 0.85 and 0.91."""
     ways = {0.5: 0.2, 0.25: 0.8, 0.1: 0.9, 0.04: 0.1}
-    asked, (state, report, reached) = _fake(monkeypatch, (1.0,), ways)
+    asked, (state, report) = _fake(monkeypatch, (1.0,), ways)
     assert [part for part, _ in asked] == [1.0, 0.5, 0.25, 0.1, 0.04]
     assert state == "at 0.1 on" and not report.converged
-    assert reached == pytest.approx(0.91)
+    assert report.reached == pytest.approx(0.91)
 
 
 def test_words_stand_over_their_numbers(compared):
@@ -199,9 +200,12 @@ def test_words_stand_over_their_numbers(compared):
 
 def test_samples_that_fail_are_numbered_as_of_the_load():
     finite = SimpleNamespace(
-        converged=np.array([True, False, False]), reached=[1.0, 0.3, 0.0],
-        reports=[SimpleNamespace(message=m) for m in "abc"],
-    )  # fmt: skip
+        converged=np.array([True, False, False]),
+        reports=[
+            SimpleNamespace(message=m, reached=way)
+            for m, way in zip("abc", (1.0, 0.3, 0.0), strict=True)
+        ],
+    )
     assert module._failures(finite, np.array([0, 1, 50])) == [
         {"sample": 2, "reached": 0.3, "message": "b"},
         {"sample": 51, "reached": 0.0, "message": "c"},

@@ -241,6 +241,7 @@ class Convergence:
     residual: float
     message: str = ""
     parts: int = 1  # of the time since the sample before
+    reached: float = 0.0  # part of the way to the load, by `simulation.lead`
 
 
 class ContactSolver:
