@@ -1,5 +1,6 @@
 """Compilation with numba, and rotations: hat operator, vectors, angles."""
 
+import os
 from collections.abc import Callable
 
 import numba
@@ -22,6 +23,9 @@ class _Compiled(Dispatcher):
             raise
 
 
+_OWN_STAMP = os.stat(__file__).st_mtime_ns
+
+
 def njit(fastmath: bool = False) -> Callable[[Callable], Dispatcher]:
     """Decorator like `numba.njit(cache=True)`, but aware of callees' files.
 
@@ -30,8 +34,8 @@ def njit(fastmath: bool = False) -> Callable[[Callable], Dispatcher]:
 
     numba compiles anew when a function's own file has changed. Functions of
     other modules are compiled into it, so here the files of all compiled
-    functions that its module imports count, too. Decorate only in modules on
-    disk: numba knows no other place for its cache.
+    functions that its module imports count, too, and this one. Decorate only in
+    modules on disk: numba knows no other place for its cache.
     """
 
     def compiled(function: Callable) -> Dispatcher:
@@ -47,6 +51,7 @@ def njit(fastmath: bool = False) -> Callable[[Callable], Dispatcher]:
         index = found._cache._cache_file
         index._source_stamp = (
             index._source_stamp,
+            _OWN_STAMP,
             *(other._cache._cache_file._source_stamp for other in imported),
         )
         return found
