@@ -228,6 +228,33 @@ def test_checks_tell_what_is_known_of_each_clock(in_device):
     assert clock_checks([recorded(trial, said=())]) == []
 
 
+def test_fast_signals_make_a_smaller_lag_rough(in_device):
+    """The first order carries half a radian of a sine."""
+    trial = recorded(in_device.trials[0])
+    device, t = trial.coordinates.device_columns, trial.times
+    v, a, swing = trial.v.copy(), trial.a.copy(), np.sin(2.0 * np.pi * t)
+    v[:, device], a[:, device] = swing[:, None], 25.0 * swing[:, None]
+    force = CuffForce(np.sin(20.0 * t))
+    fast = replace(trial, v=v, a=a, cuffs={"thigh": force})
+
+    def rough(system, lag_s, sd_s=0.002):
+        clock = Clock(trial.name, system, lag_s, sd_s)
+        made = clock_checks([fast], [clock])
+        return [c for c in made if "rough value" in c.sentence]
+
+    assert rough("encoders", -0.0195) == []
+    (encoders,) = rough("encoders", -0.0205)
+    assert encoders.limit == pytest.approx(20.0)
+    assert rough("pressure", 0.023) == []
+    (mats,) = rough("pressure", 0.027)
+    assert mats.limit == pytest.approx(25.0, rel=0.05) and not mats.holds
+    assert mats.sentence.endswith(
+        "laboratory.pressure_delay_s to about this, and run again"
+    )
+    # A lag that is not known anyway is no value to write into a study.
+    assert rough("pressure", 0.027, sd_s=0.02) == []
+
+
 def test_a_clock_that_the_study_gives_is_no_unknown(in_device):
     for said, expected in (
         (("encoders", "pressure"), ["encoder_clock", "mat_clock"]),
