@@ -80,13 +80,11 @@ def test_both_feet_are_calibrated(calibrated):
     assert_near_measured(calibrated)
 
 
-def test_what_a_simulation_misses_is_not_the_integrators(
-    calibrated, monkeypatch
-):
+def test_what_a_simulation_misses_is_not_the_integrators(calibrated):
     """Damping of the feedback makes moments of the error of a speed."""
     once = auditing.simulate(calibrated)
-    monkeypatch.setattr(auditing, "_ACCURACY", 1e-7)
-    off = auditing.simulate(calibrated).moments - once.moments
+    finer = auditing.simulate(calibrated, accuracy=1e-7)
+    off = finer.moments - once.moments
     assert rms(off, once.times).max() < 0.1
 
 
