@@ -175,6 +175,9 @@ def _summary(summary: dict[str, Any]) -> Iterator[tuple]:
         for found in summary.get(part) or []:
             if isinstance(found, dict):
                 yield from _leaves(str(found.get("trial", "")), found, part)
+    for clock in summary.get("clocks") or []:
+        place = f"clocks.{clock['system']}"
+        yield from _leaves(str(clock["trial"]), clock, place)
     for fold in summary.get("folds") or []:
         yield from _leaves(str(fold["trial"]), fold, "")
     for p in summary.get("parameters") or []:
@@ -569,7 +572,6 @@ def draw_figures(out: Path, rows: list[Row]) -> dict[str, str]:
                 if figure is not None:
                     if end:
                         figure.suptitle(variant, fontsize=9)
-                        figure.tight_layout()
                     name = name.replace(".png", f"{end}.png")
                     save_figure(out / name, figure, _mark(own))
                     drawn[name] = f"{variant}: {shows}" if end else shows
@@ -597,7 +599,7 @@ def _over_subjects(rows: list[Row]) -> Figure | None:
                 of_subjects.setdefault(row.subject, []).append(row.value)
     if not values:
         return None
-    figure = Figure(figsize=(3.2 * len(values), 3.2))
+    figure = Figure(figsize=(3.2 * len(values), 3.2), layout="constrained")
     axes = figure.subplots(1, len(values), squeeze=False)[0]
     for ax, (group, signals) in zip(axes, values.items(), strict=True):
         signals = {name: signals[name] for name in sorted(signals, key=place)}
@@ -614,7 +616,6 @@ def _over_subjects(rows: list[Row]) -> Figure | None:
         fewest, most = min(counts), max(counts)
         span = f"{most}" if fewest == most else f"{fewest} to {most}"
         ax.set_title(f"{span} subject{'s' * (most > 1)}")
-    figure.tight_layout()
     return figure
 
 
@@ -634,7 +635,7 @@ def _bland_altman(rows: list[Row]) -> Figure | None:
         return None
     columns = min(len(panels), 4)
     lines = -(-len(panels) // columns)
-    figure = Figure(figsize=(3.2 * columns, 2.8 * lines))
+    figure = Figure(figsize=(3.2 * columns, 2.8 * lines), layout="constrained")
     axes = figure.subplots(lines, columns, squeeze=False).ravel()
     for ax in axes[len(panels) :]:
         ax.set_visible(False)
@@ -666,8 +667,8 @@ def _bland_altman(rows: list[Row]) -> Figure | None:
     if 1 < len(colours) <= len(COLOURS):  # else one colour, or some twice
         for subject, colour in colours.items():
             axes[0].scatter([], [], s=12, c=colour, label=subject)
-        axes[0].legend(fontsize=7)
-    figure.tight_layout()
+        # Beside the panels, whose lines would cross it.
+        figure.legend(fontsize=7, loc="outside lower center", ncols=4)
     return figure
 
 

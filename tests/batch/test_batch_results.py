@@ -48,6 +48,15 @@ SUMMARY = {
         {"name": "toe.x", "value": 0.02, "unit": "m", "half_width_95": None},
     ],
     "audit": [{"trial": "t1", "holds": True, "simulated_grf_n": [0.1, 0.2]}],
+    "clocks": [
+        {
+            "trial": "t2",
+            "system": "encoders",
+            "lag_s": -0.02,
+            "half_width_95_s": 0.004,
+            "sure": True,
+        }
+    ],
     "front": [{"angles_deg": 1.0}],
 }
 
@@ -81,6 +90,8 @@ def test_rows(batch):
         ("t2", "rmsd.grf_n.vertical"): 14.0,
         ("t1", "audit.simulated_grf_n.0"): 0.1,
         ("t1", "audit.simulated_grf_n.1"): 0.2,
+        ("t2", "clocks.encoders.lag_s"): -0.02,
+        ("t2", "clocks.encoders.half_width_95_s"): 0.004,
         ("", "parameters.heel.x"): 0.01,
         ("", "parameters.heel.x.half_width_95"): 0.002,
         ("", "parameters.toe.x"): 0.02,
@@ -88,6 +99,7 @@ def test_rows(batch):
     }
     assert anna["t1", "rmsd.cop_mm"].unit == "mm"
     assert anna["", "parameters.heel.x"].unit == "m"
+    assert anna["t2", "clocks.encoders.lag_s"].unit == "s"
     assert {r.verdict for r in anna.values()} == {"holds"}
     bert = [r for r in rows if r.subject == "bert"]
     assert len(bert) == len(anna)
@@ -455,13 +467,18 @@ def test_colours_of_subjects_have_a_key():
             for trial in "123"
             for source in (PREDICTED, MEASURED)
         ]
-        ax = results._bland_altman(rows).axes[0]
+        figure = results._bland_altman(rows)
+        ax = figure.axes[0]
         if count != 3:
-            assert ax.get_legend() is None
+            assert not figure.legends
             continue
         dots, *keys = ax.collections
         said = {key.get_label(): key.get_facecolor()[0] for key in keys}
-        assert [text.get_text() for text in ax.get_legend().texts] == [*"abc"]
+        (legend,) = figure.legends
+        assert [text.get_text() for text in legend.texts] == [*"abc"]
+        figure.draw_without_rendering()
+        box = legend.get_window_extent()
+        assert not any(box.overlaps(a.get_tightbbox()) for a in figure.axes)
         np.testing.assert_array_equal(
             dots.get_facecolor()[::3], [said[name] for name in "abc"]
         )
