@@ -299,7 +299,7 @@ class Comparison:
 
         Includes the contact that predictions use; if all are of one subject,
         the model and the common trials' windows; and the filter of the first
-        of these trials, and the lag that was taken out of its forces.
+        of these trials, and the lags that were taken out of its recordings.
         """
         found = []
         for r in self.results:
@@ -318,7 +318,11 @@ class Comparison:
                     for t in measured
                 }
             asked["filter"] = measured[0].provenance.get("filter")
-            asked["lag_of_forces_s"] = measured[0].lags_s.get("forces")
+            # Lags that were found differ by less than a millisecond, too.
+            asked |= {
+                f"lag_of_{system}_s": round(lag, 3)
+                for system, lag in measured[0].lags_s.items()
+            }
             found.append(dict(_leaves(asked, "")))
         rows = {}
         for key in dict.fromkeys(key for asked in found for key in asked):

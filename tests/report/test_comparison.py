@@ -135,7 +135,7 @@ def test_model_contact_and_filter_count_among_settings(tmp_path, trials):
             t,
             provenance={
                 "filter": {"cutoff_hz": 8.0},
-                "delays_s": {"forces": 0.011},
+                "delays_s": {"forces": 0.011, "pressure": -0.01804},
             },
         )
         for t in trials
@@ -150,6 +150,7 @@ def test_model_contact_and_filter_count_among_settings(tmp_path, trials):
         "model.gravity_m_s2": ["9.81", "1.62"],
         "filter.cutoff_hz": ["-", "8"],
         "lag_of_forces_s": ["-", "0.011"],
+        "lag_of_pressure_s": ["-", "-0.018"],
     }
     assert compare([first, other]).settings() == expected
     # Two people differ in all of a model.
