@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from drake_exo.calibration.clocks import Clock, clock_checks
 from drake_exo.calibration.phases import check_has_cuffs, check_is_measured
 from drake_exo.calibration.problem import has_encoders
 from drake_exo.cli.calibrate import add_study_arguments
@@ -24,8 +25,9 @@ from drake_exo.files.output import (
     prepare_output_folder,
     write_json,
 )
-from drake_exo.report.gathering import format_table
+from drake_exo.report.gathering import clocks_table, format_table
 from drake_exo.study import (
+    Prediction,
     Study,
     calibrate_foot_ground,
     calibrate_interaction,
@@ -64,16 +66,24 @@ def run(args: argparse.Namespace) -> int:
     plausible = study.gate("calibration", args.accept)
     alone = [c for t in trials for c in t.cuffs if with_mats[c] == 1]
     folds: list[dict] = []
+    clocks: list[Clock] = []
+    notes: list[Check] = []
     folder = prepare_output_folder(args.out, args.force, reads=study.reads)
     with folder as out:
         for trial in trials:
-            folds.append(fold(study, trial.name))
+            row, found = fold(study, trial.name)
+            folds.append(row)
+            if found is not None:
+                clocks += found.clocks
+                notes += clock_checks(found.result.problem.trials, found.clocks)
             solved = tuple(
                 Check(SOLVED, f["success"], where=f"without {f['trial']}")
                 for f in folds
             )
-            held = Verdict((*plausible, *solved), tuple(args.accept))
+            checks = *plausible, *solved, *notes
+            held = Verdict(checks, tuple(args.accept))
             summary = {"subject": study.name, "folds": folds}
+            summary["clocks"] = [c.summary() for c in clocks]
             summary |= verdict(folds, alone) | held.summary()
             write_json(out / "summary.json", summary)
             if folds[-1]["stopped"]:
@@ -81,6 +91,8 @@ def run(args: argparse.Namespace) -> int:
         stopped = folds[-1]["stopped"]
         code = folder.end(STOPPED_CODE if stopped else held.exit_code)
     print(_table(folds))
+    if clocks:
+        print(clocks_table(summary["clocks"]))
     if len(told) == 1:
         print(f"{told[0]} is never left out: only it has encoders")
     print(summary["sentence"])
@@ -89,12 +101,13 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-def fold(study: Study, name: str) -> dict:
+def fold(study: Study, name: str) -> tuple[dict, Prediction | None]:
     """Calibrate without one trial, then predict it.
 
     Returns:
-        trial; success of all solves; stopped, whether by the user; rmsd and
-        rmsd_uncalibrated as of `audit.rmsd`, None if a solve failed.
+        A row with trial; success of all solves; stopped, whether by the user;
+        rmsd and rmsd_uncalibrated as of `audit.rmsd`, None if a solve failed.
+        And the prediction with calibrated cuffs; None if a solve failed.
     """
     trials = study.trials("calibration")
     (left,) = (t for t in trials if t.name == name)
@@ -102,7 +115,8 @@ def fold(study: Study, name: str) -> dict:
     row = {"trial": name, "rmsd": None, "rmsd_uncalibrated": None}
 
     def failed(solution):
-        return row | {"success": False, "stopped": solution.was_stopped}
+        told = {"success": False, "stopped": solution.was_stopped}
+        return row | told, None
 
     ground = calibrate_foot_ground(study, others)
     if not ground.success:
@@ -110,18 +124,19 @@ def fold(study: Study, name: str) -> dict:
     cuffs = calibrate_interaction(study, others, ground)
     if not cuffs.success:
         return failed(cuffs.solution)
-    measured = left
-    for key, contact in (
-        ("rmsd", cuffs.contact),
-        ("rmsd_uncalibrated", uncalibrated(study.model, ground)),
-    ):
-        found = predict(study, left, contact)
-        if not found.success:
-            return failed(found.solution)
-        # Nominal cuffs cannot tell a clock: both use the one found.
-        measured = found.timed(measured)
-        row[key] = found.rmsd(measured)
-    return row | {"success": True, "stopped": False}
+    own = predict(study, left, cuffs.contact)
+    if not own.success:
+        return failed(own.solution)
+    usual = predict(study, left, uncalibrated(study.model, ground))
+    if not usual.success:
+        return failed(usual.solution)
+    # Nominal cuffs cannot tell a clock: both use the one found.
+    measured = own.timed(left)
+    row |= {
+        "rmsd": own.rmsd(measured),
+        "rmsd_uncalibrated": usual.rmsd(measured),
+    }
+    return row | {"success": True, "stopped": False}, own
 
 
 def verdict(folds: list[dict], alone: Sequence[str] = ()) -> dict:
