@@ -166,12 +166,16 @@ class Designed:
         """The design to be built; SealedSolutionError if the solve failed."""
         return self.found.design
 
+    @cached_property
+    def worn(self) -> dict[str, Wearer]:
+        """Wearers by name, those drawn or of other sizes included."""
+        return {w.name: w for w in self.found.problem.wearers}
+
     @property
     def first(self) -> tuple[Wearer, list[Moved]]:
         """The first wearer, and its movements on today's cuffs."""
         name, moved = next(iter(self.before.items()))
-        wearers = self.found.problem.wearers
-        return next(w for w in wearers if w.name == name), moved
+        return self.worn[name], moved
 
     @cached_property
     def peaks(self) -> dict[str, Peak]:
@@ -181,9 +185,8 @@ class Designed:
         return {cuff: self._peak(cuff) for cuff in first[0].trial.cuffs}
 
     def _peak(self, cuff: str) -> Peak:
-        wearers = {w.name: w for w in self.found.problem.wearers}
         rows = [
-            (wearers[name].shown(cuff), before, after)
+            (self.worn[name].shown(cuff), before, after)
             for name, moved in self.before.items()
             for before, after in zip(moved, self.after[name], strict=True)
         ]
@@ -293,7 +296,6 @@ class Designed:
         errors of a cuff do not average out over time.
         """
         rows = []
-        who = {w.name: w for w in self.found.problem.wearers}
         for cuff in self.peaks:
             row: dict = {"cuff": cuff, "half_width_95": None}
             for what, design, all_moved in (
@@ -309,7 +311,7 @@ class Designed:
                 peaks, rates, means, halves = [], [], [], []
                 for name, own in moved.items():
                     shown = np.ones(3)
-                    shown[NORMAL] = factor = who[name].shown(cuff)
+                    shown[NORMAL] = factor = self.worn[name].shown(cuff)
                     for m in own:
                         force = shown * m.trial.cuffs[cuff].components
                         peaks.append(np.abs(force).max(axis=0))
@@ -358,7 +360,6 @@ class Designed:
         Over all wearers, or those named. The torque is without the joint's
         friction and spring; power is torque times speed.
         """
-        who = {w.name: w for w in self.found.problem.wearers}
         joints = self.first[0].model.coordinates.device
         rows: list[dict] = [{"joint": joint} for joint in joints]
         for what, all_moved in (("before", self.before), ("after", self.after)):
@@ -366,7 +367,7 @@ class Designed:
             for name in wearers or all_moved:
                 for m in all_moved[name]:
                     names = m.trial.coordinates
-                    torques.append(who[name].drive(m.trial))
+                    torques.append(self.worn[name].drive(m.trial))
                     speeds.append(m.trial.v[:, names.device_columns])
             torque, speed = np.vstack(torques), np.vstack(speeds)
             for row, *most in zip(
@@ -411,16 +412,13 @@ class Designed:
             shown: convert the model's migration to what encoders would show.
         """
         found = []
-        for w in self.found.problem.wearers:
-            if w.name in moved:
-                largest = largest_deflection(
-                    moved[w.name],
-                    design.model(w.model),
-                    design.contact(w.contact),
-                    cuff,
-                )
-                largest[TANGENTIAL] *= w.slides(cuff) if shown else 1.0
-                found.append(largest)
+        for name, trials in moved.items():
+            w = self.worn[name]
+            largest = largest_deflection(
+                trials, design.model(w.model), design.contact(w.contact), cuff
+            )
+            largest[TANGENTIAL] *= w.slides(cuff) if shown else 1.0
+            found.append(largest)
         return np.max(found, axis=0)
 
     def checks(self) -> tuple[Check, ...]:

@@ -580,12 +580,12 @@ def test_a_forecast_is_of_what_each_wearer_s_mats_would_show():
         ]
 
     factors = {"a": 0.75, "b": 1.5}
-    wearers = [
-        Wearer(name, None, None, (), differ={"thigh": factor})
+    wearers = {
+        name: Wearer(name, None, None, (), differ={"thigh": factor})
         for name, factor in factors.items()
-    ]
+    }
     told = SimpleNamespace(
-        found=SimpleNamespace(problem=SimpleNamespace(wearers=wearers)),
+        worn=wearers,
         before={"a": moved((40, 30), (20, 15)), "b": moved((60, 90))},
         after={"a": moved((16, 0), (8, 0)), "b": moved((30, 0))},
         measured={},

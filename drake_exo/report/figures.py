@@ -549,7 +549,6 @@ def forces_figure(designed) -> Figure:
     Args:
         designed: a `designed.Designed`.
     """
-    wearers = {w.name: w for w in designed.found.problem.wearers}
     pairs = [
         (name, before, after)
         for name in designed.before
@@ -572,13 +571,13 @@ def forces_figure(designed) -> Figure:
         for column, (name, before, after) in enumerate(pairs):
             for row, cuff in enumerate(cuffs):
                 axis = axes[row, column]
-                moved, shown = (before, after), wearers[name].shown(cuff)
+                moved, shown = (before, after), designed.worn[name].shown(cuff)
                 _draw(axis, cuff, moved, built.get(name, {}), shown)
                 if column == 0:
                     out = cuff in designed.design.removed
                     end = ",\nleft out" if out else ""
                     axis.set_ylabel(f"{cuff} normal [N]{end}")
-            several = f"{name}\n" if len(wearers) > 1 else ""
+            several = f"{name}\n" if len(designed.worn) > 1 else ""
             title = f"{several}{_wrapped(before.trial.name, width)}"
             axes[0, column].set_title(title)
             axes[-1, column].set_xlabel("time [s]")

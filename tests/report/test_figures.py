@@ -402,9 +402,7 @@ def designed(trials, found, **more):
         peaks=dict.fromkeys(["thigh", "pelvis"]),
         measured={"b": [trials[1]]},
         beyond=lambda: ["a"],
-        found=SimpleNamespace(
-            problem=SimpleNamespace(wearers=[seen_by("a"), seen_by("b")])
-        ),
+        worn={"a": seen_by("a"), "b": seen_by("b")},
         **more,
     )
 
