@@ -331,7 +331,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "np.linspace(0.0, 1.0, _PHASE_SAMPLES)",
         ),
         (
-            "- tree.point_positions(t.q, foot, (0.0, 0.0))[:, 0]",
+            "- tree.point_positions(t.q, foot)[:, 0]",
             "",
         ),
         ("if at.moments is not None and loads", "if at.moments is not None"),

@@ -465,8 +465,7 @@ def spread(trials: list[Trial], tree: PlanarTree) -> dict:
         with np.errstate(invalid="ignore"):
             cop[side] = 1e3 * deviation(
                 lambda t, side=side, foot=foot: (
-                    t.soles[side].cop_x
-                    - tree.point_positions(t.q, foot, (0.0, 0.0))[:, 0]
+                    t.soles[side].cop_x - tree.point_positions(t.q, foot)[:, 0]
                 )
             )
     return {

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_exo.collocation.initial_guess import settle_foot, settle_rolling
-from drake_exo.collocation.kernels import FORCE_UNIT, PoseKernel
+from drake_exo.collocation.kernels import FORCE_UNIT
 from drake_exo.measurement.trial import Trial
 
 # Typical changes, in least squares, of lengths [m], angles [rad] and feet.
@@ -65,8 +65,8 @@ def _rolling_feet(problem, movement, at, contact) -> Start:
     targets = []
     for side, bodies in problem.feet.items():
         # The foot, also if only other segments of it touch the ground.
-        tie = PoseKernel(tree, "foot" if side == "both" else f"foot_{side}")
-        measured = tie.poses(at.q, at.v)[:, :3]
+        foot = "foot" if side == "both" else f"foot_{side}"
+        measured = tree.poses(at.q, foot)
         spheres = [problem.sphere_values(contact, b) for b in bodies]
         places = [
             _in_foot(tree, at.q, measured, body, own)
@@ -80,11 +80,11 @@ def _rolling_feet(problem, movement, at, contact) -> Start:
             measured,
             at.soles[side].array,
         )
-        targets.append((tie, pose, rate))
+        targets.append((foot, pose, rate))
     q = _followed(tree, at.q, targets)
     v = np.gradient(q, times, axis=0)
-    J = np.concatenate([_jacobian(t, q) for t, _, _ in targets], axis=1)
-    wanted = np.concatenate([rate for _, _, rate in targets], axis=1)
+    J = np.hstack([tree.pose_jacobian(q, foot) for foot, _, _ in targets])
+    wanted = np.hstack([rate for _, _, rate in targets])
     v = v + _least_change(tree, J, wanted - np.einsum("nij,nj->ni", J, v))
     for _ in range(_PASSES):
         v = v + _least_change(tree, J, _slip(problem, contact, at, q, v))
@@ -131,13 +131,6 @@ def _in_foot(tree, q, foot, body, spheres) -> np.ndarray:
     return np.stack(found, axis=1)
 
 
-def _jacobian(tie: PoseKernel, q) -> np.ndarray:
-    """Jacobian (n, 3, nq) of a body's pose by q."""
-    nq = q.shape[1]
-    x = np.hstack([q, np.zeros_like(q), np.zeros((len(q), 6))])
-    return tie.jacobian(x, None)[:, :3, :nq]
-
-
 def _least_change(tree, J, missing) -> np.ndarray:
     """Smallest weighted change (n, nq) with J change = missing (n, m)."""
     size = np.where(tree.coordinates.is_angle, _ANGLE_RAD, _LENGTH_M)
@@ -150,11 +143,12 @@ def _least_change(tree, J, missing) -> np.ndarray:
 def _followed(tree, measured, targets) -> np.ndarray:
     """Coordinates (n, nq) near the measured ones that put feet in place."""
     q = measured.copy()
+    wanted = np.hstack([pose for _, pose, _ in targets])
     for _ in range(_PASSES):
-        J = np.concatenate([_jacobian(t, q) for t, _, _ in targets], axis=1)
-        now = [t.poses(q, np.zeros_like(q))[:, :3] for t, _, _ in targets]
-        wanted = np.concatenate([pose for _, pose, _ in targets], axis=1)
-        off = wanted - np.concatenate(now, axis=1)
+        J = np.hstack([tree.pose_jacobian(q, foot) for foot, _, _ in targets])
+        off = wanted - np.hstack(
+            [tree.poses(q, foot) for foot, _, _ in targets]
+        )
         # The change is least from the measured posture, not from the last one.
         off = off + np.einsum("nij,nj->ni", J, q - measured)
         q = measured + _least_change(tree, J, off)

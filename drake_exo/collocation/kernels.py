@@ -157,7 +157,6 @@ class PoseKernel:
     def __init__(self, tree: PlanarTree, body: str):
         self._tree, self._body = tree, body
         self._nq = nq = tree.num_positions
-        self._turn = tree.turning(body)
         moved = tree.moving(body)
         pattern = np.zeros((6, 2 * nq + 6), bool)
         for row, column in ((0, 0), (1, 1)):
@@ -165,7 +164,7 @@ class PoseKernel:
             pattern[row, column] = True
             pattern[3 + row, :nq] = pattern[3 + row, nq : 2 * nq] = moved
             pattern[3 + row, nq + column] = True
-        pattern[2, :nq] = pattern[5, nq : 2 * nq] = self._turn != 0.0
+        pattern[2, :nq] = pattern[5, nq : 2 * nq] = tree.turning(body) != 0.0
         pattern[np.arange(6), 2 * nq + np.arange(6)] = True
         self.sparsity = pattern
         self.curved_inputs = np.zeros(2 * nq + 6, bool)
@@ -186,8 +185,7 @@ class PoseKernel:
         nq, T = self._nq, self._tree.angles_by_q
         q, v = x[:, :nq], x[:, nq : 2 * nq]
         J = np.zeros((len(x), *self.sparsity.shape))
-        J[:, :2, :nq] = self._tree.point_jacobian(q, self._body)
-        J[:, 2, :nq] = self._turn
+        J[:, :3, :nq] = self._tree.pose_jacobian(q, self._body)
         # The derivative of an arm's (-z, x) by its angle is (-x, -z).
         arms = self._tree.arms(q, self._body)
         J[:, 3:5, :nq] = (-(v @ T.T) * arms @ T).transpose(1, 0, 2)

@@ -510,8 +510,8 @@ def _two_legs(tree: PlanarTree, model: MarkerModel, poses: Poses) -> np.ndarray:
         J = [np.broadcast_to(angles / sigma[:, None], (n, *angles.shape))]
         r = [(poses.angles - q @ angles.T) / sigma]
         for body, p, size in points:
-            J.append(tree.point_jacobian(q, body, (0.0, 0.0)) / size)
-            r.append((p - tree.point_positions(q, body, (0.0, 0.0))) / size)
+            J.append(tree.point_jacobian(q, body) / size)
+            r.append((p - tree.point_positions(q, body)) / size)
         A, b = np.concatenate(J, axis=1), np.concatenate(r, axis=1)
         At = A.transpose(0, 2, 1)
         q = q + np.linalg.solve(At @ A, At @ b[..., None])[..., 0]

@@ -169,6 +169,17 @@ class PlanarTree:
         """Derivative (nq,) of `body_angles` by the coordinates."""
         return self.angles_by_q[self.segment_of[self.body_index(body)]]
 
+    def poses(self, q, body: str) -> np.ndarray:
+        """Place x, z [m] and angle [rad] of a body, (N, 3)."""
+        place = self.point_positions(q, body)
+        return np.column_stack([place, self.body_angles(q, body)])
+
+    def pose_jacobian(self, q, body: str) -> np.ndarray:
+        """Derivative (N, 3, nq) of `poses` by the coordinates."""
+        J = self.point_jacobian(q, body)
+        turn = np.broadcast_to(self.turning(body), (len(q), 1, J.shape[2]))
+        return np.concatenate([J, turn], axis=1)
+
     def link_motion(self, q, v, body: str, p_BoP=(0.0, 0.0)):
         """Pose and motion of a link, or of a point fixed in it.
 

@@ -277,13 +277,7 @@ class Model:
             check_planar(plant, device)
         tree = PlanarTree.from_plant(plant)
         q = np.zeros((1, tree.num_positions))
-        return {
-            name: np.r_[
-                tree.point_positions(q, name, (0.0, 0.0))[0],
-                tree.body_angles(q, name),
-            ]
-            for name in tree.names
-        }
+        return {name: tree.poses(q, name)[0] for name in tree.names}
 
     @property
     def cuffs(self) -> dict[str, tuple[float, float]]:
@@ -528,10 +522,10 @@ def _strain(assembly: Assembly, tree: PlanarTree, rides) -> float:
     bent = np.hstack(
         [np.zeros((len(names.human), 3)), np.eye(len(names.human))]
     )
-    q, origin = names.aligned(bent), (0.0, 0.0)
+    q = names.aligned(bent)
     off = [
-        tree.point_positions(q, _held(assembly, name), origin)
-        - tree.point_positions(q, cuff.human, origin)
+        tree.point_positions(q, _held(assembly, name))
+        - tree.point_positions(q, cuff.human)
         for name, cuff in assembly.cuffs.items()
     ]
     return round(float(np.linalg.norm(off)), 9)  # beyond that it is rounding

@@ -626,7 +626,7 @@ def device_figure(designed) -> Figure:
             _draw_arms(axis, tree, q, old)
             spots = {
                 cuff: [
-                    tree.point_positions(q, link, np.array(b.origin))[0]
+                    tree.point_positions(q, link, b.origin)[0]
                     for b in (old[cuff], new.get(cuff, old[cuff]))
                 ]
                 for cuff, (link, _) in tree.cuffs.items()
@@ -744,10 +744,7 @@ def _told(cuff: str, design: CuffDesign) -> str:
 def _draw_link(axis, model, q, joint: str) -> None:
     """Draw a line between the origins of the two links of a joint."""
     tree = model.tree
-    ends = [
-        tree.point_positions(q, link, np.zeros(2))[0]
-        for link in tree.joints[joint]
-    ]
+    ends = [tree.point_positions(q, link)[0] for link in tree.joints[joint]]
     device = joint in tree.coordinates.device
     axis.plot(
         *np.transpose(ends),
@@ -763,11 +760,11 @@ def _draw_link(axis, model, q, joint: str) -> None:
 def _draw_arms(axis, tree, q, bushings) -> None:
     """Draw lines from the device's joints to the cuffs on their links."""
     for cuff, (_, end) in tree.cuffs.items():
-        tip = tree.point_positions(q, end, np.array(bushings[cuff].origin))[0]
+        tip = tree.point_positions(q, end, bushings[cuff].origin)[0]
         for joint in tree.coordinates.device:
             for link in tree.joints[joint]:
                 if np.array_equal(tree.turning(link), tree.turning(end)):
-                    root = tree.point_positions(q, link, np.zeros(2))[0]
+                    root = tree.point_positions(q, link)[0]
                     axis.plot(*np.transpose([root, tip]), color=_LINKS, lw=1.5)
 
 

@@ -74,14 +74,9 @@ class DrawnModel:
     def poses(self, q: np.ndarray) -> dict[str, np.ndarray]:
         """Path of a body -> (n, 7) position [m] and quaternion."""
         return {
-            path: spatial(self.pose(q, name))
+            path: spatial(self.tree.poses(q, name))
             for name, path in self._paths.items()
         }
-
-    def pose(self, q: np.ndarray, body: str) -> np.ndarray:
-        """Place x, z [m] and angle [rad] of a body, (n, 3)."""
-        place = self.tree.point_positions(q, body, np.zeros(2))
-        return np.column_stack([place, self.tree.body_angles(q, body)])
 
     def hip(self, q: np.ndarray) -> np.ndarray:
         """Place (x, z) of the hip joint [m], (n, 2)."""
@@ -121,8 +116,8 @@ class DrawnModel:
         # Mats measure the normal component only.
         wrench = bushing_wrench(
             (*np.nan_to_num(force.components.T[:ROTATION]), 0.0),
-            self.pose(motion.q, human).T,
-            self.pose(motion.q, device).T,
+            self.tree.poses(motion.q, human).T,
+            self.tree.poses(motion.q, device).T,
             self._bushings[name].origin,
             self._bushings[name].preload,
         )

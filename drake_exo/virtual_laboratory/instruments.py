@@ -851,9 +851,7 @@ def write_scans(
 
 def _placed(tree: PlanarTree, q, body):
     """Function from a segment's frame to the world, (n, 3) to (n, 3)."""
-    q = np.asarray(q)[None]
-    x, z = tree.point_positions(q, body, (0.0, 0.0))[0]
-    angle = tree.body_angles(q, body)[0]
+    ((x, z, angle),) = tree.poses(np.asarray(q)[None], body)
     c, s = np.cos(angle), np.sin(angle)
 
     def to_world(p):

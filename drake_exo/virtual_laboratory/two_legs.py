@@ -271,8 +271,7 @@ class TwoLegs(Session):
         heavier = tree.weight / one.weight
         shares = dict(zip(SIDES, (share, 1.0 - share), strict=True))
         q = np.zeros((len(plan.q), len(names)))
-        q[:, :2] = one.point_positions(plan.q, "pelvis", (0.0, 0.0))
-        q[:, 2] = one.body_angles(plan.q, "pelvis")
+        q[:, :3] = one.poses(plan.q, "pelvis")
         for side, part in shares.items():
             # Soles are indented unequally, so each leg needs its own angles.
             load, at = part * heavier * plan.ground[:, 1], plan.ground
@@ -610,7 +609,7 @@ def _borne(tree: PlanarTree, q, side: str, cycle) -> PlanarWrench:
         np.where(stance, PchipInterpolator(*curve)(at), 0.0) * tree.weight
         for curve in (_FORCE_X, _FORCE_Z)
     )
-    ankle = tree.point_positions(q, f"foot_{side}", (0.0, 0.0))[:, 0]
+    ankle = tree.point_positions(q, f"foot_{side}")[:, 0]
     point = ankle + np.interp(at, *_POINT_M)
     return PlanarWrench(np.column_stack([force_x, force_z]), -point * force_z)
 

@@ -36,7 +36,7 @@ def _postures(tree, n=3, seed=0):
 def test_least_change_is_the_least_that_brings_what_is_missing(tree):
     """By a minimiser: centimetres of the pelvis against 0.05 rad of joints."""
     q = _postures(tree, 2)
-    J = start._jacobian(PoseKernel(tree, "foot_left"), q)
+    J = tree.pose_jacobian(q, "foot_left")
     missing = np.array([[0.01, -0.02, 0.03], [0.0, 0.02, -0.01]])
     found = start._least_change(tree, J, missing)
     size = np.where(tree.coordinates.is_angle, 0.05, 0.01)
@@ -68,19 +68,19 @@ def test_what_is_missing_gives_way_where_nothing_brings_it(tree):
 
 
 def test_a_foot_s_jacobian_is_that_of_its_pose(tree):
-    q, tie, h = _postures(tree), PoseKernel(tree, "toes_right"), 1e-6
-    found = start._jacobian(tie, q)
+    q, foot, h = _postures(tree), "toes_right", 1e-6
+    found = tree.pose_jacobian(q, foot)
     for k, e in enumerate(np.eye(tree.num_positions)):
-        change = (
-            tie.poses(q + h * e, 0.0 * q) - tie.poses(q - h * e, 0.0 * q)
-        ) / (2.0 * h)
-        np.testing.assert_allclose(found[:, :, k], change[:, :3], atol=1e-8)
+        change = tree.poses(q + h * e, foot) - tree.poses(q - h * e, foot)
+        np.testing.assert_allclose(
+            found[:, :, k], change / (2.0 * h), atol=1e-8
+        )
 
 
 def test_spheres_in_the_foot_s_frame(tree):
     """Those of the foot where they are; toes turned about their hinge."""
     q = _postures(tree)
-    foot = PoseKernel(tree, "foot_left").poses(q, 0.0 * q)[:, :3]
+    foot = tree.poses(q, "foot_left")
     spheres = np.array([[1e6, 1, -0.05, -0.06, 0.03], [1e6, 1, 0.1, 0, 0.02]])
     found = start._in_foot(tree, q, foot, "foot_left", spheres)
     assert found.shape == (len(q), 2, 2)
@@ -109,15 +109,14 @@ def test_coordinates_follow_their_feet(tree):
     near = q + 0.02 * _postures(tree, seed=1)
     targets = []
     for foot in ("foot_left", "foot_right"):
-        tie = PoseKernel(tree, foot)
-        targets.append((tie, tie.poses(near, 0.0 * q)[:, :3], None))
+        targets.append((foot, tree.poses(near, foot), None))
     found = start._followed(tree, q, targets)
     size = np.where(tree.coordinates.is_angle, 0.05, 0.01)
-    for tie, pose, _ in targets:
-        now = tie.poses(found, 0.0 * q)[:, :3]
+    for foot, pose, _ in targets:
+        now = tree.poses(found, foot)
         np.testing.assert_allclose(now, pose, atol=1e-5)
     # The change has no part that moves no foot: it is from its rows alone.
-    J = np.concatenate([start._jacobian(t, found) for t, _, _ in targets], 1)
+    J = np.hstack([tree.pose_jacobian(found, foot) for foot, _, _ in targets])
     for own, way in zip((found - q) / size, J * size, strict=True):
         null = own - np.linalg.pinv(way) @ (way @ own)
         np.testing.assert_allclose(null, 0.0, atol=1e-9)
