@@ -17,7 +17,6 @@ from drake_exo.collocation.kernels import (
     AppliedWrench,
     DynamicsKernel,
     FootGroundKernel,
-    PoseKernel,
 )
 from drake_exo.collocation.transcription import stands_for
 from drake_exo.collocation.trial_program import (
@@ -374,7 +373,7 @@ class PhaseProblem(Compiles, ABC):
             q, v: (n, nq).
             wrench: (n, 3) to compare with the law's; zero by default.
         """
-        pose = PoseKernel(self.tree, body).poses(q, v)
+        pose = self.tree.states(q, v, body)
         values = self.sphere_values(contact, body).ravel()
         wrench = np.zeros((len(pose), 3)) if wrench is None else wrench
         return np.hstack([pose, wrench, np.tile(values, (len(pose), 1))])
@@ -588,8 +587,8 @@ class PhaseProblem(Compiles, ABC):
             (movement.ground, ground),
             (movement.torque, moments),
         ]
-        for body, tie in movement.ties.items():
-            filled.append((movement.poses[body], tie.poses(q, v)))
+        for body, pose in movement.poses.items():
+            filled.append((pose, self.tree.states(q, v, body)))
         for cuff, force in cuffs.items():
             filled.append((movement.cuffs[cuff], force))
         for variables, numbers in filled:
@@ -858,15 +857,11 @@ def bound_feet(
 
 def measured_feet(movement: TrialProgram, at: Trial) -> dict[str, np.ndarray]:
     """Foot -> measured pose and rates (n, 6); toes do not count."""
-    root = at.coordinates.root_columns
-    found = {}
-    for body in movement.poses:
-        if body in movement.ties:
-            if body.startswith("foot"):
-                found[body] = movement.ties[body].poses(at.q, at.v)
-        else:
-            found[body] = np.hstack([at.q[:, root], at.v[:, root]])
-    return found
+    return {
+        body: movement.tree.states(at.q, at.v, body)
+        for body in movement.poses
+        if body.startswith("foot")
+    }
 
 
 def kinematic_terms(

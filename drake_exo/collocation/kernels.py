@@ -170,15 +170,10 @@ class PoseKernel:
         self.curved_inputs = np.zeros(2 * nq + 6, bool)
         self.curved_inputs[:nq] = self.curved_inputs[nq : 2 * nq] = moved
 
-    def poses(self, q, v) -> np.ndarray:
-        """x, z, angle of the body and their rates, (n, 6)."""
-        place, angle, motion = self._tree.link_motion(q, v, self._body)
-        return np.column_stack([place.T, angle, motion.T])
-
     def evaluate(self, x, data):
         """See Kernel."""
-        nq = self._nq
-        return self.poses(x[:, :nq], x[:, nq : 2 * nq]) - x[:, 2 * nq :]
+        q, v, own = np.split(x, [self._nq, 2 * self._nq], axis=1)
+        return self._tree.states(q, v, self._body) - own
 
     def jacobian(self, x, data):
         """See Kernel."""

@@ -52,7 +52,6 @@ class TrialProgram:
         poses: such a body -> (n, 6) x, z, pitch and their rates: the root's
             coordinates, or further variables tied by kinematics, so that the
             law under every body is the same function.
-        ties: body except the root -> kernel of these kinematics.
         cuffs: cuff -> (n, 3) force of its bushing on the human: tangential,
             normal [N], moment [N m].
         dynamics: kernel of the equations of motion; its inputs are q, v, a,
@@ -107,7 +106,6 @@ class TrialProgram:
         parts = np.split(self.ground, len(bodies), axis=1)
         self.grounds = dict(zip(bodies, parts, strict=True))
         self.poses: dict[str, np.ndarray] = {}
-        self.ties: dict[str, PoseKernel] = {}
         for body in bodies:
             self._add_pose(tree, body)
         self._label()
@@ -142,10 +140,9 @@ class TrialProgram:
             self.poses[body] = np.hstack([grid.q[:, root], grid.v[:, root]])
             return
         self.poses[body] = self.new(f"{body} pose", np.ones(6))
-        self.ties[body] = PoseKernel(tree, body)
         self.program.add_constraints(
             f"{self.name} pose of {body}",
-            self.ties[body],
+            PoseKernel(tree, body),
             np.hstack([grid.q, grid.v, self.poses[body]]),
         )
 

@@ -200,6 +200,11 @@ class PlanarTree:
             np.vstack([velocity, v @ self.turning(body)]),
         )
 
+    def states(self, q, v, body: str) -> np.ndarray:
+        """Place x, z [m] and angle [rad] of a body, and their rates, (N, 6)."""
+        place, angle, motion = self.link_motion(q, v, body)
+        return np.column_stack([place.T, angle, motion.T])
+
     def by_wrench(self, q, body: str) -> np.ndarray:
         """Derivative of generalized forces by a wrench on a body, (N, nq, 3).
 

@@ -19,7 +19,6 @@ from drake_exo.calibration.settings import (
     Solver,
 )
 from drake_exo.calibration.uncertainty import _regulariser
-from drake_exo.collocation.kernels import PoseKernel
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.measurement.sagittal import PlanarWrench
@@ -187,16 +186,14 @@ def test_a_swinging_foot_clears_the_ground_in_the_middle(model, step):
     # In the air from 0.1 to 0.4 s: its middle half.
     assert used.min() > 0.15 and used.max() < 0.36
     assert len(used) >= 3
-    tie = PoseKernel(model.tree, "foot_right")
-    x = tie.poses(step.q[:1], step.v[:1])
+    x = model.tree.states(step.q[:1], step.v[:1], "foot_right")
     height = batch.kernel.evaluate(x, None)
     spheres = problem.sphere_values(problem.contact, "foot_right")
     for value, (_, _, ahead, up, radius) in zip(
         height[0], spheres, strict=True
     ):
-        place = tie.poses(step.q[:1], step.v[:1])[0]
-        turned = (ahead + 1j * up) * np.exp(1j * place[2])
-        assert value == pytest.approx(place[1] + turned.imag - radius)
+        turned = (ahead + 1j * up) * np.exp(1j * x[0, 2])
+        assert value == pytest.approx(x[0, 1] + turned.imag - radius)
 
 
 def test_toes_clear_the_ground_as_their_foot_does(step):

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import minimize
 
 from drake_exo.calibration import start
-from drake_exo.collocation.kernels import FootGroundKernel, PoseKernel
+from drake_exo.collocation.kernels import FootGroundKernel
 from drake_exo.contact.hunt_crossley import sphere_wrench
 from drake_exo.contact.parameters import (
     ContactSphere,
@@ -138,7 +138,7 @@ def problem(tree):
         return np.array([[4e6, 1.5, 0.02, depth[body[:4]], 0.03]])
 
     def law_inputs(contact, body, q, v):
-        pose = PoseKernel(tree, body).poses(q, v)
+        pose = tree.states(q, v, body)
         rows = np.tile(values(contact, body)[0], (len(q), 1))
         return np.hstack([pose, np.zeros((len(q), 3)), rows])
 
@@ -158,7 +158,7 @@ def problem(tree):
 def _standing(tree):
     """Upright, soles a millimetre in the ground, sliding slowly."""
     q = np.zeros((3, tree.num_positions))
-    foot = PoseKernel(tree, "foot_left").poses(q, q)[0]
+    foot = tree.states(q, q, "foot_left")[0]
     q[:, 1] -= foot[1] - (0.06 + 0.03 - 1e-3)
     v = np.zeros_like(q)
     v[:, 0] = [0.01, -0.02, 0.03]
@@ -168,7 +168,7 @@ def _standing(tree):
 def test_the_law_under_a_foot_and_its_slope(tree, problem):
     q, v = _standing(tree)
     wrench, slope = start._law(problem, None, "foot_left", q, v)
-    pose = PoseKernel(tree, "foot_left").poses(q, v)
+    pose = tree.states(q, v, "foot_left")
     x, z, _, vx, vz, _ = pose.T
 
     def force(vx):
@@ -223,11 +223,10 @@ def test_feet_settled_under_a_body_that_follows(tree, problem):
     for side in problem.feet:
         for joint, share in (("hip", 1.0), ("knee", 2.0), ("ankle", 1.0)):
             q[:, names.index(f"{joint}_{side}")] = share * bend
-    foot = PoseKernel(tree, "foot_left")
-    measured = foot.poses(q, 0.0 * q)
+    measured = tree.poses(q, "foot_left")
     # Measured a few millimetres above where they bear, and at one place.
     q[:, :2] -= measured[:, :2] - measured[:1, :2] - [0.0, 5e-3]
-    measured = foot.poses(q, 0.0 * q)
+    measured = tree.poses(q, "foot_left")
     load = 300.0 + 20.0 * np.sin(times)
     cop = measured[:, 0] + 0.02
     forward = 0.1 * load
@@ -247,7 +246,7 @@ def test_feet_settled_under_a_body_that_follows(tree, problem):
         off = (ground - wrench)[2:-2]
         assert np.abs(off[:, 0]).max() < 1e-9
         assert np.abs(off[:, 1]).max() < 1.0
-        pose = PoseKernel(tree, f"foot_{side}").poses(found.q, found.v)
+        pose = tree.states(found.q, found.v, f"foot_{side}")
         assert (pose[:, 1] < measured[:, 1] - 3e-3).all()
         # The grid is coarse: differences of q alone let feet lift and turn.
         assert np.abs(pose[:, 4]).max() < 5e-4
@@ -256,7 +255,7 @@ def test_feet_settled_under_a_body_that_follows(tree, problem):
         np.gradient(found.v, times, axis=0), found.a, atol=1e-9
     )
     rates = np.gradient(found.q, times, axis=0)
-    naive = foot.poses(found.q, rates)
+    naive = tree.states(found.q, rates, "foot_left")
     assert np.abs(naive[:, 4]).max() > 5e-3
     assert np.abs(found.v - rates)[2:-2].max() < 0.03
 
@@ -272,7 +271,7 @@ def test_toes_that_creep_leave_their_foot_s_force_as_measured(tree, problem):
         problem.feet[side] = (f"foot_{side}", f"toes_{side}")
         problem.soles[f"toes_{side}"] = ["heel"]
         problem.kernels[f"toes_{side}"] = problem.kernels[f"foot_{side}"]
-    foot = PoseKernel(tree, "foot_left").poses(q, np.zeros_like(q))
+    foot = tree.poses(q, "foot_left")
     load = np.full(len(times), 400.0)
     wrench = np.column_stack([0.0 * load, load, -(foot[:, 0] + 0.08) * load])
     at = SimpleNamespace(

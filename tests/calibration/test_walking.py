@@ -65,8 +65,8 @@ def test_a_start_stands_on_its_feet(study):
             off = force - at.feet[side].array
             assert np.sqrt(np.mean(off**2, axis=0)).max() < 50.0
             foot = measured_feet(movement, at)[f"foot_{side}"]
-            tie = movement.ties[f"foot_{side}"]
-            moved = tie.poses(start.q, start.v)[:, :3] - foot[:, :3]
+            now = problem.tree.poses(start.q, f"foot_{side}")
+            moved = now - foot[:, :3]
             assert np.abs(moved[:, :2]).max() < 0.05
 
 
@@ -188,7 +188,7 @@ def test_a_step_repeats_itself_and_tracks_nothing(study, calibrated):
     swing = own.feet["left"].force_z < 5.0
     middle = np.flatnonzero(swing)[len(np.flatnonzero(swing)) // 2]
     spheres = problem.sphere_values(calibrated.contact, "foot_left")
-    pose = problem.movements[0].ties["foot_left"].poses(own.q, own.v)
+    pose = problem.tree.states(own.q, own.v, "foot_left")
     assert SoleKernel(spheres).evaluate(pose, None)[middle].min() > 0.009
 
 

@@ -53,7 +53,7 @@ def test_poses_are_those_of_the_plant(walker):
     body = plant.GetBodyByName("toes_right")
     pose = plant.EvalBodyPoseInWorld(context, body)
     motion = plant.EvalBodySpatialVelocityInWorld(context, body)
-    (found,) = PoseKernel(walker.tree, "toes_right").poses(q[None], v[None])
+    (found,) = walker.tree.states(q[None], v[None], "toes_right")
     ahead = pose.rotation().matrix()[:, 0]
     np.testing.assert_allclose(found[:2], pose.translation()[[0, 2]])
     np.testing.assert_allclose(np.cos(found[2]), ahead[0])
