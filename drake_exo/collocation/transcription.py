@@ -19,7 +19,6 @@ from scipy.interpolate import BSpline
 
 from drake_exo.nlp.program import BatchedProgram, LinearKernel, Substitution
 
-FEWEST = 4  # least number of mesh intervals of a trial
 # Typical sizes of position, velocity, acceleration, jerk [rad or m, s].
 _SIZES = (1.0, 1.0, 10.0, 100.0)
 # Tolerance to which a guess of each is kept: a tenth of a millimetre is tens of
@@ -44,7 +43,7 @@ class Transcription(ABC):
         name: name of the trajectory.
         num_dof: number of coordinates.
         duration: [s].
-        num_intervals: number of even intervals, at least `FEWEST`.
+        num_intervals: number of even intervals.
         parts: (num_intervals,) number of mesh intervals into which each of
             these is split, or one number for all.
     """
@@ -59,8 +58,6 @@ class Transcription(ABC):
     def __init__(
         self, program, name, num_dof, duration, num_intervals, parts=1
     ):
-        if num_intervals < FEWEST:
-            raise ValueError(f"{name}: {num_intervals} intervals")
         self.name = name
         self.num_dof = num_dof
         self.parts = np.broadcast_to(parts, num_intervals)

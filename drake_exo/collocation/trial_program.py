@@ -21,11 +21,7 @@ from drake_exo.collocation.kernels import (
     FootGroundKernel,
     PoseKernel,
 )
-from drake_exo.collocation.transcription import (
-    FEWEST,
-    TRANSCRIPTIONS,
-    Transcription,
-)
+from drake_exo.collocation.transcription import TRANSCRIPTIONS, Transcription
 from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.parameters import ContactParameter
 from drake_exo.model.planar_tree import PlanarTree
@@ -34,6 +30,7 @@ from drake_exo.nlp.program import BatchedProgram
 # Typical size of alternating accelerations of the root [m/s^2, rad/s^2] in the
 # cost: about a newton by a body's mass, as much as an audit allows.
 ALTERNATING = 0.0125
+_FEWEST = 4  # mesh intervals of a trial
 
 Role = Literal["position", "velocity", "measured", "regulariser"]
 
@@ -66,7 +63,7 @@ class TrialProgram:
         name: name of the trial.
         tree: dynamics of the model.
         duration: duration of the movement [s].
-        nodes_per_second: mesh intervals per second; at least `FEWEST` in all.
+        nodes_per_second: mesh intervals per second; at least four in all.
         transcription: name in TRANSCRIPTIONS.
         bushings: cuff -> kinematics of its bushing, and its places as
             decision variables.
@@ -94,7 +91,7 @@ class TrialProgram:
         self.program = program
         self.tree = tree
         self.coordinates = tree.coordinates
-        intervals = max(round(duration * nodes_per_second), FEWEST)
+        intervals = max(round(duration * nodes_per_second), _FEWEST)
         self.grid: Transcription = TRANSCRIPTIONS[transcription](
             program, name, tree.num_positions, duration, intervals, parts
         )

@@ -90,9 +90,9 @@ class ContactParameter:
         """Distance between the bounds, in `unit`."""
         return self.upper - self.lower
 
-    def at_bound(self, value: float, fraction: float = 1e-3) -> bool:
-        """Whether a value sits at a bound, within a fraction of the span."""
-        margin = fraction * self.span
+    def at_bound(self, value: float) -> bool:
+        """Whether a value sits at a bound, within 1e-3 of the span."""
+        margin = 1e-3 * self.span
         return value <= self.lower + margin or value >= self.upper - margin
 
 

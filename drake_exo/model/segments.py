@@ -69,8 +69,14 @@ class SegmentParameters:
         )
 
 
+@dataclass(frozen=True)
 class _Chain:
-    """Properties that human and exoskeleton have in common."""
+    """What human and exoskeleton have in common."""
+
+    foot: SegmentParameters
+    shank: SegmentParameters
+    thigh: SegmentParameters
+    pelvis: SegmentParameters
 
     @property
     def mass_kg(self) -> float:
@@ -96,10 +102,6 @@ class HumanParameters(_Chain):
         ball_m: place of that hinge in the foot; None: from its length.
     """
 
-    foot: SegmentParameters
-    shank: SegmentParameters
-    thigh: SegmentParameters
-    pelvis: SegmentParameters
     ankle_height_m: float = quantity("m", above=0.0, maximum=_FAR_M)
     heel_m: tuple[float, float] = place()
     toe_m: tuple[float, float] = place()
@@ -135,10 +137,6 @@ class ExoskeletonParameters(_Chain):
             segment below, where the wearer's joint is.
     """
 
-    foot: SegmentParameters
-    shank: SegmentParameters
-    thigh: SegmentParameters
-    pelvis: SegmentParameters
     heel_m: tuple[float, float] = place()
     toe_m: tuple[float, float] = place()
     shank_cuff_m: tuple[float, float] = place()

@@ -296,17 +296,18 @@ def front_figure(rows: list[dict]) -> Figure:
             ax.plot(x, y, style, color=_MODEL, mfc=face)
         for row in rows:
             said = "" if row["success"] else ", not solved"
-            ax.annotate(
-                f"×{row['factor']:g}{said}",
-                (row["angles_deg"], row["grf_n"]),
-                textcoords="offset points",
-                xytext=(6, 4),
-            )
+            at = row["angles_deg"], row["grf_n"]
+            _beside(ax, at, f"×{row['factor']:g}{said}")
         ax.set_xlabel("joint angles, mean RMSD [°]")
         ax.set_ylabel("ground reaction, mean RMSD [N]")
         ax.set_title("Pareto front; ×: factor on the noise of forces")
         figure.tight_layout()
     return figure
+
+
+def _beside(axis, at: tuple[float, float], text: str) -> None:
+    """Write a text beside a point."""
+    axis.annotate(text, at, textcoords="offset points", xytext=(6, 4))
 
 
 def _drawn(runs, trials, rows, height=1.9, shade=None) -> Figure:
@@ -802,12 +803,8 @@ def design_front_figure(rows: list[dict]) -> Figure:
                 mfc=face,
             )
         for row in rows:
-            axis.annotate(
-                f"×{row['share']:g}",
-                (row["work_j"], row["norm_n"]),
-                textcoords="offset points",
-                xytext=(6, 4),
-            )
+            at = row["work_j"], row["norm_n"]
+            _beside(axis, at, f"×{row['share']:g}")
         axis.margins(x=0.1)
         axis.set_title(
             "Pareto front; ×: share of today's work; hollow: dominated"
