@@ -205,7 +205,6 @@ class Timing(InteractionCalibration):
             parameters,
             settings,
             settings.errors,
-            contact.posterior,
         )
 
     def _prior(self) -> tuple[list[str], np.ndarray, np.ndarray]:

@@ -373,7 +373,6 @@ class PredictionProblem(PhaseProblem):
             [],
             settings,
             settings.errors,
-            contact.posterior,
             refined,
         )
 

@@ -30,7 +30,6 @@ from drake_exo.contact.parameters import (
     TYPICAL_JERK,
     ContactModel,
     ContactParameter,
-    Posterior,
 )
 from drake_exo.errors import InputError, check_names, check_type
 from drake_exo.measurement.sagittal import PlanarWrench
@@ -194,7 +193,7 @@ class PhaseProblem(Compiles, ABC):
         parameters: those of the contact that are calibrated.
         settings: of the phase, with solver and noise.
         errors: standard deviations of unknown errors' priors; None: no errors.
-        known: posterior of a calibration with such errors.
+            The contact's posterior is the prior of errors that it holds.
         refined: trial -> number of parts into which each interval of the
             settings' grid is split, or one number for all; in these trials
             jerk that alternates from node to node is damped.
@@ -222,7 +221,6 @@ class PhaseProblem(Compiles, ABC):
         parameters: list[ContactParameter],
         settings,
         errors: ErrorSizes | None = None,
-        known: Posterior | None = None,
         refined: Mapping[str, Parts] | None = None,
         program: BatchedProgram | None = None,
     ):
@@ -254,7 +252,9 @@ class PhaseProblem(Compiles, ABC):
             cuff: BushingKernel(self.bushings[cuff], bushing.damping)
             for cuff, bushing in contact.bushings.items()
         }
-        self.errors = errors and ErrorModel(model, self.trials, errors, known)
+        self.errors = errors and ErrorModel(
+            model, self.trials, errors, contact.posterior
+        )
         self.program = program or BatchedProgram()
         self._add_parameters()
         self.error_variables = self._add_errors()

@@ -93,15 +93,7 @@ class OwnMovement(PhaseProblem):
         self._seen = seen
         self._answers = answers or {}
         settings = settings or PredictionSettings()
-        super().__init__(
-            model,
-            trials,
-            contact,
-            [],
-            settings,
-            settings.errors,
-            contact.posterior,
-        )
+        super().__init__(model, trials, contact, [], settings, settings.errors)
 
     def _terms(self, movement, at, effects):
         noise = self.settings.noise
