@@ -372,7 +372,7 @@ def check_key(cls: type, key: str) -> None:
                 own = schema.keys(hint)
                 known |= set(own)
                 found += [own[part]] if part in own else []
-            elif typing.get_origin(hint) is dict or hint in (dict, Any):
+            elif typing.get_origin(hint) is dict or hint is Any:
                 found.append((*typing.get_args(hint), Any)[-1])
             elif part.isdecimal():
                 found += [a for a in typing.get_args(hint) if a is not ...]

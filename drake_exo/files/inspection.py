@@ -167,12 +167,9 @@ def _of_model(path: Path) -> list[Section]:
         for j in model.joints
     ]
     markers = [f"{n}: on {body}" for n, (body, _) in model.markers.items()]
-    mass = sum(body.mass_kg for body in model.bodies.values())
+    count = _counted(len(bodies), "body", "bodies")
     return [
-        Section(
-            f"{_counted(len(bodies), 'body', 'bodies')}, {mass:.4g} kg",
-            tuple(bodies),
-        ),
+        Section(f"{count}, {model.mass_kg:.4g} kg", tuple(bodies)),
         Section(_counted(len(joints), "joint"), tuple(joints)),
         Section(_counted(len(markers), "marker"), tuple(markers)),
     ]

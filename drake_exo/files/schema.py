@@ -196,9 +196,9 @@ class _Reader:
             return self._union(node, hint, where, meta)
         if origin is Literal:
             return self._literal(node, hint, where)
-        if origin in (list, tuple) or hint in (list, tuple):
+        if origin in (list, tuple):
             return self._sequence(node, hint, where, meta)
-        if origin is dict or hint is dict:
+        if origin is dict:
             return self._dict(node, hint, where, meta)
         return self._scalar(node, hint, where, meta)
 
@@ -298,16 +298,15 @@ class _Reader:
     def _sequence(
         self, node: yaml.Node, hint: Any, where: str, meta: Mapping
     ) -> Any:
-        kind = typing.get_origin(hint) or hint
-        args = typing.get_args(hint) or (Any,)
+        kind, args = typing.get_origin(hint), typing.get_args(hint)
         if not isinstance(node, yaml.SequenceNode):
             raise self.error(
                 node, f"{where} must be a list, but is {_describe(node)}"
             )
         count = len(node.value)
-        if kind is list or args[-1] is Ellipsis or len(args) == 0:
+        if kind is list or args[-1] is Ellipsis:
             args = (args[0],) * count
-        elif hint is not tuple and len(args) != count:
+        elif len(args) != count:
             raise self.error(
                 node, f"{where} must hold {len(args)} values, not {count}"
             )
@@ -320,7 +319,7 @@ class _Reader:
     def _dict(
         self, node: yaml.Node, hint: Any, where: str, meta: Mapping
     ) -> dict:
-        key_hint, value_hint = typing.get_args(hint) or (str, Any)
+        key_hint, value_hint = typing.get_args(hint)
         result = {}
         for text, (key, value) in self._mapping(node, where).items():
             name = self.read(key, key_hint, f"key {text!r} of {where}", {})
