@@ -175,29 +175,6 @@ def test_differences_of_a_simulation_are_root_mean_squares(
     assert found.simulated_angles_deg == pytest.approx(expected)
 
 
-def test_an_error_of_the_integrator_is_none_of_the_solution(
-    predicted, monkeypatch
-):
-    """What fails is simulated again, ten times as accurately."""
-    (found,) = predicted.trials
-    asked = []
-
-    def simulated(_, __, accuracy, share=1.0):
-        asked.append(accuracy)
-        off = 7e3 * share * accuracy
-        return replace(found, moments=found.moments + off)
-
-    monkeypatch.setattr(module, "simulate", simulated)
-    held = audit(predicted)
-    assert asked == [1e-4, 1e-5]
-    assert held.simulated_moments_nm == pytest.approx(0.07)
-    monkeypatch.setattr(
-        module, "simulate", lambda *args: simulated(*args, share=0.5)
-    )
-    assert audit(predicted).simulated_moments_nm == pytest.approx(0.35)
-    assert asked == [1e-4, 1e-5, 1e-4]
-
-
 def test_without_cuffs_there_is_no_interaction(predicted, monkeypatch):
     (found,) = predicted.trials
     bare = replace(found, cuffs={})
