@@ -285,6 +285,50 @@ def test_a_stage_goes_on_where_it_stands(case, monkeypatch):
     assert given["warm"] is None
 
 
+_LOADS = """loads:
+  - constant: {force_n: [10, 0, 400], zmp_m: [0.08, 0.01], samples: 2}
+  - constant: {force_n: [0, 0, 300], zmp_m: [-0.08, -0.03], samples: 2}
+"""
+
+
+def _for_the_worst(*iterations):
+    """The example with two loads, and a stage for each of the iterations."""
+    stages = [
+        f"{{layer_m: 1.0e-4, kappa: 0.2, iterations: {n}}}" for n in iterations
+    ]
+    first, last = EXAMPLE.index("load:"), EXAMPLE.index("optimize:")
+    block = EXAMPLE[last : EXAMPLE.index("[{layer_m")]
+    return Case.from_text(
+        f"{EXAMPLE[:first]}{_LOADS}cost: {{of: worst}}\n{block}"
+        f"[{', '.join(stages)}]\n"
+    )
+
+
+def test_a_search_for_the_worst_load_begins_with_the_mean(monkeypatch):
+    """In the first of several stages, also where that was interrupted."""
+    of = []
+
+    def minimise(problem, p, *_, **more):
+        of.append((problem.stage.iterations, problem.settings.cost.of))
+        return Optimum(p, 1.0, multipliers=np.zeros(5), trace=[(0, 1, 0, 0)])
+
+    monkeypatch.setattr(search, "minimise", minimise)
+    setup = _for_the_worst(3, 4, 5)
+    p = np.ones(setup.spline().count)
+    begun = Checkpoint(0, 1, p, p, np.zeros(5), 1e-3, np.eye(len(p)))
+    search.optimise(setup, None, str)
+    search.optimise(setup, None, str, resume=begun)
+    assert of == 2 * [(3, "mean"), (4, "worst"), (5, "worst")]
+    assert setup.settings.cost.of == "worst"
+    of.clear()
+    search.optimise(_for_the_worst(3), None, str)
+    assert of == [(3, "worst")]
+    of.clear()
+    stages = setup.settings.optimize.stages[:2]
+    search.pareto_front(setup, [0.6], None, stages)
+    assert of[:2] == [(3, "mean"), (4, "worst")]
+
+
 def test_a_stage_limits_the_largest_strain_itself(case, monkeypatch):
     """The norm times what an exact run says; kept while the stage lasts."""
     stage = case.settings.optimize.stages[0]
