@@ -305,12 +305,13 @@ class Settings:
     def __post_init__(self):
         if (self.load is None) == (not self.loads):
             raise InputError("give either load, or loads as a list of such")
-        for block in self.all_loads:
+        for k, block in enumerate(self.all_loads):
             free = block.pattern is not None and block.pattern.free
             if free and (self.loads or block.straight):
+                which = f"loads[{k}]" if self.loads else "load"
                 raise InputError(
-                    "load.pattern.free: a walk can only be sought for a single "
-                    "load that is not straight; leave it out here"
+                    f"{which}.pattern.free: a walk can only be sought for a "
+                    "single load that is not straight; leave it out here"
                 )
         self.material.material()
         if self.optimize.stages is None:

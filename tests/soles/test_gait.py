@@ -7,6 +7,7 @@ import pytest
 from undrawn import undrawn
 
 from drake_exo import cli
+from drake_exo.errors import InputError
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.walking_pattern import Gait, Robot, plan, smooth_share
@@ -243,4 +244,8 @@ def test_a_walk_of_several_loads_is_refused(tmp_path, capsys):
     argv = ["sole", "optimize", str(path), "--out", str(tmp_path / "out")]
     assert cli.main(argv) == 2
     error = capsys.readouterr().err
-    assert "pattern.free" in error and error.count("\n") == 1
+    assert "load.pattern.free" in error and error.count("\n") == 1
+    other = "{constant: {force_n: [0, 0, 9], zmp_m: [0, 0]}}"
+    two = _case().replace("load: ", f"loads:\n  - {other}\n  - ")
+    with pytest.raises(InputError, match=r"loads\[1\]\.pattern\.free: a walk"):
+        Case.from_text(two)
