@@ -231,13 +231,13 @@ def _optimize(args) -> int:
     with _out_of(args, case) as out:
         try:
             design = case.optimize(out, say, resume, args.jobs)
+            row = design.write(out, say, args.accept)
         except KeyboardInterrupt:
             way = "before the first checkpoint; begin again"
             if any(out.rglob(CHECKPOINT)):
                 way = f"go on with --resume {out} and another --out"
             print(f"{case.name}: stopped; {way}", flush=True)
             raise
-        row = design.write(out, say, args.accept)
     verdict = stored(row)
     print(paper.line(row))
     print(verdict.text())

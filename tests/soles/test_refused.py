@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import meshio
 import numpy as np
@@ -265,6 +266,12 @@ def test_ctrl_c_says_how_an_optimisation_goes_on(case, monkeypatch, capsys):
     assert main(words) == 130
     assert "before the first checkpoint" in capsys.readouterr().out
     begun.append(1)
+    assert main([*words, "--force"]) == 130
+    assert f"go on with --resume {out}" in capsys.readouterr().out
+    # Also while the results of a search that has ended are written.
+    (out / "checkpoint.json").unlink()
+    ended = SimpleNamespace(write=stopped)
+    monkeypatch.setattr(dx.soles.Case, "optimize", lambda *given: ended)
     assert main([*words, "--force"]) == 130
     assert f"go on with --resume {out}" in capsys.readouterr().out
 
