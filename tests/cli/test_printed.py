@@ -133,7 +133,7 @@ def test_crossvalidation_goes_over_all_unless_it_is_stopped(left_out, tmp_path):
 def test_a_crossvalidation_tells_the_clocks_of_trials_left_out(
     left_out, tmp_path, capsys
 ):
-    """Mats that are read late can make good cuffs look bad."""
+    """Mats that are read late count as an error of both cuffs."""
     trial = SimpleNamespace(
         name="b",
         lags_s={"pressure": 0.0},
