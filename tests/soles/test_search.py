@@ -288,6 +288,7 @@ def test_a_stage_goes_on_where_it_stands(case, monkeypatch):
 _LOADS = """loads:
   - constant: {force_n: [10, 0, 400], zmp_m: [0.08, 0.01], samples: 2}
   - constant: {force_n: [0, 0, 300], zmp_m: [-0.08, -0.03], samples: 2}
+    weight: 3
 """
 
 
@@ -305,11 +306,16 @@ def _for_the_worst(*iterations):
 
 
 def test_a_search_for_the_worst_load_begins_with_the_mean(monkeypatch):
-    """In the first of several stages, also where that was interrupted."""
+    """In the first of several stages, also where that was interrupted.
+
+    The worst knows no weights, and that mean has none.
+    """
     of = []
 
     def minimise(problem, p, *_, **more):
         of.append((problem.stage.iterations, problem.settings.cost.of))
+        weight = {"mean": 1.0, "worst": 3.0}[problem.settings.cost.of]
+        assert problem.load.weights == (1.0, weight)
         return Optimum(p, 1.0, multipliers=np.zeros(5), trace=[(0, 1, 0, 0)])
 
     monkeypatch.setattr(search, "minimise", minimise)

@@ -468,10 +468,15 @@ def _of_mean(setup: Setup) -> Setup:
 
     A search for the least cost of the worst load begins so. Far from it all
     loads gain together; a maximum bends sharply where the worst one changes,
-    and a search that begins on it comes to a standstill there.
+    and a search that begins on it comes to a standstill there. The worst knows
+    no weights, so that mean has none.
     """
+    if setup.settings.cost.of == "mean":
+        return setup
     cost = replace(setup.settings.cost, of="mean")
-    return replace(setup, settings=replace(setup.settings, cost=cost))
+    load = replace(setup.load, weights=(1.0,) * len(setup.load.weights))
+    settings = replace(setup.settings, cost=cost)
+    return replace(setup, settings=settings, load=load)
 
 
 def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
