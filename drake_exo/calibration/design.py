@@ -209,15 +209,10 @@ class _Wearing(PhaseProblem):
         """Give the person's end states; the device's are left free."""
         if self._posed.settings.response == "own":
             return
-        names = movement.coordinates
-        own = names.columns(names.human)
-        for i in (0, -1):
-            for variables, values in (
-                (movement.grid.q, at.q),
-                (movement.grid.v, at.v),
-            ):
-                given = values[i, own]
-                movement.bound(variables[i, own], given, given)
+        names, grid = movement.coordinates, movement.grid
+        ends = np.ix_([0, -1], names.columns(names.human))
+        movement.bound(grid.q[ends], at.q[ends], at.q[ends])
+        movement.bound(grid.v[ends], at.v[ends], at.v[ends])
         bound_feet(movement, at, PredictionEnds())
 
     def _terms(self, movement, at, effects):
@@ -320,7 +315,6 @@ class _Wearing(PhaseProblem):
             return
         limits, program = self._posed.settings.limits, self.program
         times = [f"at {t:.3g} s" for t in movement.grid.times]
-        n = len(times)
         for cuff, force in movement.cuffs.items():
             differ = self.wearer.shown(cuff)
             most = np.full(3, np.inf)
@@ -341,10 +335,8 @@ class _Wearing(PhaseProblem):
             )
             bounded = np.isfinite(most)
             if bounded.any():
-                edge = np.broadcast_to(
-                    most[bounded], (n, bounded.sum())
-                ).ravel()
-                movement.bound(force[:, bounded].ravel(), -edge, edge)
+                most = most[bounded]
+                movement.bound(force[:, bounded], -most, most)
             if limits.migration_mm is not None:
                 self._limit_migration(movement, cuff)
             if limits.pressure_kpa is not None:
@@ -354,8 +346,7 @@ class _Wearing(PhaseProblem):
         if limits.effort_factor is not None:
             own = movement.torque[:, ~movement.coordinates.is_device_joint]
             most = limits.effort_factor * self._today.largest_moments
-            edge = np.broadcast_to(most, own.shape).ravel()
-            movement.bound(own.ravel(), -edge, edge)
+            movement.bound(own, -most, most)
 
     def _allowed(self, most, today):
         """The limit; for a wearer who was drawn at least today's value."""
@@ -383,11 +374,10 @@ class _Wearing(PhaseProblem):
             rows: number of nodes, from the first on; all by default.
         """
         times = [f"at {t:.3g} s" for t in movement.grid.times[:rows]]
-        n = len(times)
-        found = movement.new(f"{of} {what}", [size], n)
+        found = movement.new(f"{of} {what}", [size], len(times))
         name = f"{movement.name} {of} {what}"
         self.program.label("limit", found, [name], times, [unit])
-        movement.bound(found.ravel(), np.full(n, -most), np.full(n, most))
+        movement.bound(found, -most, most)
         self._limited[what, of, movement.name] = found
         return found
 
@@ -532,7 +522,7 @@ class _Wearing(PhaseProblem):
                 most = limits.torque_nm
                 movement.bound(torque, own - most, own + most)
             if limits.speed_deg_s is not None:
-                most = np.full(len(rate), np.deg2rad(limits.speed_deg_s))
+                most = np.deg2rad(limits.speed_deg_s)
                 movement.bound(rate, -most, most)
             if limits.power_w is None:
                 continue

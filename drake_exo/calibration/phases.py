@@ -424,8 +424,8 @@ class PredictionProblem(PhaseProblem):
 
     def _add(self, trial: Trial) -> TrialProgram:
         movement = super()._add(trial)
-        limit = np.full(movement.torque.size, self.settings.torque_limit_nm)
-        movement.bound(movement.torque.ravel(), -limit, limit)
+        limit = self.settings.torque_limit_nm
+        movement.bound(movement.torque, -limit, limit)
         everything = dict.fromkeys(self.bushings, EVERY)
         self.minimise_energy(movement, everything, self.settings.noise.energy_j)
         if self._controller is not None:
@@ -550,11 +550,7 @@ class PeriodicStep(PredictionProblem):
         for name in names.human:
             lower, upper = np.deg2rad(_RANGES_DEG[name.split("_")[0]])
             q, own = grid.q[:, names.index(name)], at.coordinate(name)
-            movement.bound(
-                q,
-                np.full(len(q), min(lower, own.min())),
-                np.full(len(q), max(upper, own.max())),
-            )
+            movement.bound(q, min(lower, own.min()), max(upper, own.max()))
         return movement
 
 

@@ -334,13 +334,9 @@ class PhaseProblem(Compiles, ABC):
             # Given feet and joints between them would contradict each other.
             pitch = np.deg2rad(self.settings.end_tolerance.pitch_deg)
             reach, rate = max(reach, pitch), np.inf
-        for i in (0, -1):
-            for variables, values, by in (
-                (grid.q, at.q, reach),
-                (grid.v, at.v, rate),
-            ):
-                given = values[i, joints]
-                movement.bound(variables[i, joints], given - by, given + by)
+        ends = np.ix_([0, -1], joints)
+        movement.bound(grid.q[ends], at.q[ends] - reach, at.q[ends] + reach)
+        movement.bound(grid.v[ends], at.v[ends] - rate, at.v[ends] + rate)
         bound_feet(movement, at, self.settings.end_tolerance)
 
     @property
@@ -848,11 +844,8 @@ def bound_feet(
         ]
     )
     for foot, measured in measured_feet(movement, at).items():
-        for i in (0, -1):
-            given = measured[i]
-            movement.bound(
-                movement.poses[foot][i], given - reach, given + reach
-            )
+        ends, given = movement.poses[foot][[0, -1]], measured[[0, -1]]
+        movement.bound(ends, given - reach, given + reach)
 
 
 def measured_feet(movement: TrialProgram, at: Trial) -> dict[str, np.ndarray]:

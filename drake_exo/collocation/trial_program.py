@@ -237,9 +237,18 @@ class TrialProgram:
         return np.hstack(own)
 
     def bound(self, variables, lower, upper) -> None:
-        """Bound variables of this trial; equal bounds fix them."""
+        """Bound variables of this trial; equal bounds fix them.
+
+        Args:
+            variables: array of decision variables.
+            lower, upper: bounds, broadcast to its shape.
+        """
+        lower, upper = (
+            np.broadcast_to(x, variables.shape).ravel().astype(float)
+            for x in (lower, upper)
+        )
         self.program.prog.AddBoundingBoxConstraint(
-            np.asarray(lower, float), np.asarray(upper, float), variables
+            lower, upper, variables.ravel()
         )
 
     def add_tracking_cost(

@@ -299,9 +299,7 @@ class _PassiveDevice(PhaseProblem):
     """A trajectory near the drawn rise, with nearly no device torque."""
 
     def _hold_ends(self, movement, at):
-        still = np.zeros(len(movement.coordinates))
-        for i in (0, -1):
-            movement.bound(movement.grid.v[i], still, still)
+        movement.bound(movement.grid.v[[0, -1]], 0.0, 0.0)
 
     def _terms(self, movement, at, effects):
         loose = replace(
