@@ -154,14 +154,6 @@ class _Moved:
         """Weight of body and device together [N]."""
         return self.model.rigid.tree.weight
 
-    @property
-    def body(self) -> list[np.ndarray]:
-        """q, v, a (n, nq) of the body without the device."""
-        columns = self.trial.coordinates.body_columns
-        return [
-            x[:, columns] for x in (self.trial.q, self.trial.v, self.trial.a)
-        ]
-
     @cached_property
     def needed(self) -> np.ndarray:
         """External F_x, F_z [N], M_y [N m] (n, 3) that the motion requires.
@@ -169,8 +161,8 @@ class _Moved:
         About the laboratory's origin; feet, chair and loads together.
         """
         tree = self.model.rigid.tree
-        Q = inverse_dynamics(tree, *self.body, {})
-        return tree.ground_reaction(self.body[0], Q)
+        q, v, a = self.trial.body
+        return tree.ground_reaction(q, inverse_dynamics(tree, q, v, a, {}))
 
     @cached_property
     def measured(self) -> np.ndarray:
@@ -193,7 +185,7 @@ class _Moved:
         """
         measured = self.measured * ([-1.0, 1.0, -1.0] if turned else 1.0)
         F_x, F_z, moment = (self.needed - measured).T
-        x, z = self.body[0][:, :2].T
+        x, z = self.trial.body[0][:, :2].T
         return float(np.sqrt(np.mean((moment - (z * F_x - x * F_z)) ** 2)))
 
 
@@ -1024,7 +1016,7 @@ def device_checks(e: Evidence) -> Iterator[Check]:
     if e.recording.angles is None:
         return
     names = e.trial.coordinates
-    human = np.rad2deg(e.expected(e.body[0]))
+    human = np.rad2deg(e.expected(e.trial.body[0]))
     device = np.rad2deg(e.trial.q[:, names.device_columns])
     offsets = _offsets(e)
     for i, name in enumerate(names.device):
@@ -1194,10 +1186,11 @@ def misfit(
         The misfit and that lag [s]; infinite if the encoders do not cover the
         movement, or no joint moves by 30°.
     """
-    moving = np.ptp(np.rad2deg(e.expected(e.body[0])), axis=0) > _FAR_DEG
+    q, v = map(e.expected, e.trial.body[:2])
+    moving = np.ptp(np.rad2deg(q), axis=0) > _FAR_DEG
     if not moving.any():
         return np.inf, 0.0
-    time, v = e.trial.start_s + e.trial.times, e.expected(e.body[1])[:, moving]
+    time, v = e.trial.start_s + e.trial.times, v[:, moving]
     angles = encoders.recording.angles
     rates = np.gradient(angles.values[:, moving], angles.time, axis=0)
     best = np.inf, 0.0
@@ -1412,7 +1405,6 @@ def _ratio(own: float, other: float) -> float:
     return float(own / max(other, 1e-9)) if np.isfinite(own) else 0.0
 
 
-_LAG_REACH_S = 0.06
 _DEG = np.pi / 180.0
 # Prior standard deviations of the causes of angle differences between device
 # and person. _SKIN and _BEND are linear and quadratic in the person's angle.
@@ -1450,7 +1442,7 @@ class _Difference:
         signal = angles.delayed(lag_s)
         time = np.clip(time, signal.time[0], signal.time[-1])
         d, v, a = signal.motion(time)
-        human = e.expected(e.body[0])
+        human = e.expected(e.trial.body[0])
         q = trial.q.copy()
         q[:, trial.coordinates.device_columns] = d
         links = [tree.joints[name][1] for name in trial.coordinates.device]
@@ -1508,7 +1500,7 @@ def disagreement(evidence: Sequence[Evidence]) -> np.ndarray:
         (k, k) added cost per independent sample; NaN on the diagonal and for
         pairs that cannot be compared.
     """
-    fits = [misfit(e, e, _LAG_REACH_S) for e in evidence]
+    fits = [misfit(e, e, _REACH_S) for e in evidence]
     known = {
         k: _Difference.of(e, lag)
         for k, (e, (share, lag)) in enumerate(zip(evidence, fits, strict=True))

@@ -769,10 +769,9 @@ def _moments(recording, model: Model, settings, trial: Trial, time):
     The human's moments are the resultant less the exoskeleton's.
     """
     names, tree = model.coordinates, model.rigid.tree
-    body = [x[:, names.body_columns] for x in (trial.q, trial.v, trial.a)]
-    loads = trial.loads(tree.root)
-    Q = inverse_dynamics(tree, *body, loads)
-    resultant = from_the_ground_up(tree, body[0], Q)
+    q, v, a = trial.body
+    Q = inverse_dynamics(tree, q, v, a, trial.loads(tree.root))
+    resultant = from_the_ground_up(tree, q, Q)
     resultant = resultant[:, tree.coordinates.joint_columns]
     if not names.device:
         return resultant, None, {"human": "resultant"}

@@ -95,9 +95,7 @@ def force_residual(subject: SubjectModel, trial: Trial) -> np.ndarray:
         legs about the hips.
     """
     tree = subject.model.rigid.tree
-    columns = trial.coordinates.body_columns
-    body = [x[:, columns] for x in (trial.q, trial.v, trial.a)]
-    Q = inverse_dynamics(tree, *body, trial.loads(tree.root))
+    Q = inverse_dynamics(tree, *trial.body, trial.loads(tree.root))
     return Q[:, tree.coordinates.root_columns]
 
 

@@ -234,6 +234,12 @@ class Trial:
         return self.moments[:, place]
 
     @property
+    def body(self) -> list[np.ndarray]:
+        """q, v, a (n, k) of the body without the device."""
+        columns = self.coordinates.body_columns
+        return [x[:, columns] for x in (self.q, self.v, self.a)]
+
+    @property
     def device_moments(self) -> np.ndarray:
         """Columns (n, m) of `moments` at the device's m joints [N m]."""
         return self.moments[:, self.coordinates.is_device_joint]

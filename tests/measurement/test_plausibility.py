@@ -163,8 +163,7 @@ def test_a_clock_that_is_off_is_no_other_movement():
     own = (0.5 - 0.5 * np.cos(np.pi * time))[:, None]
     rate = (0.5 * np.pi * np.sin(np.pi * time))[:, None]
     e = SimpleNamespace(
-        trial=SimpleNamespace(start_s=1.0, times=time),
-        body=(own, rate),
+        trial=SimpleNamespace(start_s=1.0, times=time, body=(own, rate)),
         expected=lambda x: x,
     )
     t = np.arange(0.0, 4.0, 0.005)
@@ -187,7 +186,7 @@ def test_euler_is_missed_by_moments_about_the_ankle():
         e = SimpleNamespace(
             measured=needed - at_ankle - [0.0, 0.0, more],
             needed=needed,
-            body=(np.tile([x, z, 0.0], (n, 1)), None),
+            trial=SimpleNamespace(body=(np.tile([x, z, 0.0], (n, 1)),)),
         )
         assert Evidence.pitch_error(e) == pytest.approx(more, abs=1e-9)
         e.measured = e.measured * [-1.0, 1.0, -1.0]

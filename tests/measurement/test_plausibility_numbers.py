@@ -14,11 +14,18 @@ from drake_exo.measurement.plausibility import Evidence
 from drake_exo.measurement.recording import FootForces
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import Load
+from drake_exo.measurement.trial import Trial
 
 WEIGHT = 700.0
 N = 50
 TIME = 1.0 + np.arange(200) / 100.0  # of the recording; from 1.5 s on is used
 INSIDE = slice(50, 100)
+
+
+class Cut(SimpleNamespace):
+    """What checks read of a trial."""
+
+    body = Trial.body
 
 
 def made(**motion) -> Evidence:
@@ -30,7 +37,7 @@ def made(**motion) -> Evidence:
         SimpleNamespace(
             markers="m.trc", forces="f.mot", encoders="e.csv", loads=()
         ),
-        SimpleNamespace(
+        Cut(
             name="one",
             start_s=1.5,
             duration=0.49,
