@@ -593,26 +593,19 @@ class InteractionSettings:
         factor = width and width * log(self.stiffness_factor)
         origin = width and width * self.origin_sd_m
 
-        def log_normal(what, unit, middle, lower, upper, free):
+        def log_normal(what, unit, free, *values):  # nominal, lower, upper
             return ContactParameter(
-                f"{name}.{what}",
-                unit,
-                middle,
-                lower,
-                upper,
-                free,
-                factor,
-                log_prior=True,
+                f"{name}.{what}", unit, *values, free, factor, log_prior=True
             )
 
         def stiffness(what, unit, r):
-            bounds = (r.nominal, r.lower, r.upper, r.free)
-            return log_normal(f"{what}_stiffness", unit, *bounds)
+            values = r.nominal, r.lower, r.upper
+            return log_normal(f"{what}_stiffness", unit, r.free, *values)
 
         slip = ContactParameter.fixed(f"{name}.slip", "1/N", 0.0)
         if (r := settings.slip_n) is not None:
-            bounds = (1.0 / f for f in (r.nominal, r.upper, r.lower))
-            slip = log_normal("slip", "1/N", *bounds, r.free)
+            values = (1.0 / f for f in (r.nominal, r.upper, r.lower))
+            slip = log_normal("slip", "1/N", r.free, *values)
 
         x, z = settings.origin_x_m, settings.origin_z_m
         return [
