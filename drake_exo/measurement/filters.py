@@ -98,6 +98,13 @@ def resample(
     return make_interp_spline(time, values, k=3, axis=0)(new_time)
 
 
+def linear(
+    time: np.ndarray, values: np.ndarray, new_time: np.ndarray
+) -> np.ndarray:
+    """Signals (N, k) at other times, linear between and held beyond samples."""
+    return np.column_stack([np.interp(new_time, time, x) for x in values.T])
+
+
 def minimum_jerk(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Minimum-jerk step s^3 (10 - 15 s + 6 s^2), at rest at both ends.
 
@@ -348,9 +355,7 @@ def _fill(time, p: np.ndarray, unseen: np.ndarray, hidden: np.ndarray) -> None:
         after = seen[seen >= end][:_NEIGHBOURS]
         if hidden[start]:
             knots = np.r_[before[-1:], after[:1]]
-            p[start:end] = np.column_stack(
-                [np.interp(time[start:end], time[knots], x) for x in p[knots].T]
-            )
+            p[start:end] = linear(time[knots], p[knots], time[start:end])
             continue
         knots = np.r_[before, after]
         degree = min(3, len(knots) - 1)

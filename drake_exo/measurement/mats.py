@@ -29,6 +29,7 @@ from drake_exo.files.tables import (
     kept,
     uniform_time,
 )
+from drake_exo.measurement.filters import linear
 from drake_exo.measurement.sagittal import Axes
 from drake_exo.measurement.settings import (
     Filter,
@@ -189,7 +190,7 @@ def _along(line: np.ndarray, share: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(np.diff(line, axis=0), axis=1)
     s = np.r_[0.0, np.cumsum(length)]
     s = s / s[-1] if s[-1] > 0.0 else np.linspace(0.0, 1.0, len(s))
-    return np.column_stack([np.interp(share, s, x) for x in line.T])
+    return linear(s, line, share)
 
 
 def _read_cells(path: Path, rows: int, columns: int) -> np.ndarray:

@@ -19,7 +19,7 @@ from scipy.constants import g
 from drake_exo.errors import InputError
 from drake_exo.files.output import Check, Level, Verdict
 from drake_exo.files.tables import between, runs
-from drake_exo.measurement.filters import MarkerFault
+from drake_exo.measurement.filters import MarkerFault, linear
 from drake_exo.measurement.kinematics import inverse_dynamics, residual_rms
 from drake_exo.measurement.mats import MatForce
 from drake_exo.measurement.processing import (
@@ -271,9 +271,7 @@ class Evidence(_Moved):
         forces = self.recording.forces
         time = self.recording.motion.time[self.inside]
         return {
-            foot: np.column_stack(
-                [np.interp(time, forces.time, x) for x in w.T]
-            )
+            foot: linear(forces.time, w, time)
             for foot, w in forces.recorded.items()
             if foot != "chair"
         }
@@ -1095,11 +1093,9 @@ def _offsets(e: Evidence) -> np.ndarray:
     angles, motion = e.recording.angles, e.recording.motion
     both = between(motion.time, angles.time[0], angles.time[-1])
     human = np.rad2deg(e.expected(motion.q[both]))
-    device = np.rad2deg(
-        [np.interp(motion.time[both], angles.time, x) for x in angles.values.T]
-    )
+    device = linear(angles.time, angles.values, motion.time[both])
     upright = _most_upright(human)
-    return np.mean(device.T[upright] - human[upright], axis=0)
+    return np.mean(np.rad2deg(device[upright]) - human[upright], axis=0)
 
 
 def _most_upright(human: np.ndarray) -> np.ndarray:
@@ -1198,7 +1194,7 @@ def misfit(
         t = time + lag
         if t[0] < angles.time[0] - 0.1 or t[-1] > angles.time[-1] + 0.1:
             continue
-        d = np.column_stack([np.interp(t, angles.time, x) for x in rates.T])
+        d = linear(angles.time, rates, t)
         share = float(np.linalg.norm(d - v) / np.linalg.norm(v))
         best = min(best, (share, float(lag)))
     return best

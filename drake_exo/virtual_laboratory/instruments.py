@@ -24,6 +24,7 @@ from drake_exo.files.tables import (
     Table,
     write_csv_table,
 )
+from drake_exo.measurement.filters import linear
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import SIDES
@@ -628,9 +629,10 @@ class Laboratory:
         time = np.arange(0.0, movement.times[-1], 1.0 / DEVICE_RATE_HZ)
         at = time - clocks.device
         names = movement.coordinates
-        angles = _sampled(movement, movement.q[:, names.device_columns], at)
+        angles = movement.q[:, names.device_columns]
+        angles = linear(movement.times, angles, at)
         angles = angles + self.faults.encoder_offset_rad
-        moments = _sampled(movement, movement.device_moments, at)
+        moments = linear(movement.times, movement.device_moments, at)
         noise = rng.normal(size=(2, *angles.shape))
         if "encoder_noise" in self.disturbances:
             angles = angles + _ANGLE_NOISE * noise[0]
@@ -740,12 +742,6 @@ def _corners(place: str, walkway_m: float = 0.0) -> np.ndarray:
             for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))
         ]
     )
-
-
-def _sampled(movement: Trial, values, at) -> np.ndarray:
-    """Values (N, k) interpolated at times `at`, held beyond the ends."""
-    columns = [np.interp(at, movement.times, column) for column in values.T]
-    return np.column_stack(columns)
 
 
 def cell_pressures(
