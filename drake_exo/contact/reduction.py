@@ -7,9 +7,9 @@ is not fitted: the force of a sticking sole depends on where it stuck, which a
 law of slip velocity cannot represent. Both slip at the same coefficient μ.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -35,40 +35,17 @@ _LOWER_N_M2, _UPPER_N_M2 = 1e4, 1e10  # bounds of the modulus
 _SD = 1.96  # standard deviations in the half-width of a 95 % interval
 
 
-@dataclass(frozen=True)
-class Samples:
-    """N poses of a sole, with the ground's force and centre of pressure.
+def loaded(samples: NamedTuple) -> np.ndarray:
+    """Samples whose centre of pressure is fitted, (N,) bool."""
+    return samples.force > _LOADED * samples.force.max()
 
-    Attributes:
-        origin: of the sole frame in the world [m], (N, 3).
-        rotation: R of the sole frame in the world, (N, 3, 3).
-        force: vertical force of the ground on the sole [N], (N,).
-        cop: centre of pressure, world x and y [m], (N, 2).
-        size: extent of the sole in x, y, z [m], (3,): it lies at z <= 0.
-        middle: x and y of the sole's middle in its frame [m], (2,).
-        friction: Coulomb's coefficient μ.
-    """
 
-    origin: np.ndarray
-    rotation: np.ndarray
-    force: np.ndarray
-    cop: np.ndarray
-    size: np.ndarray
-    middle: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    friction: float = SimbodyConstants.static_friction
-
-    @property
-    def loaded(self) -> np.ndarray:
-        """Samples whose centre of pressure is fitted, (N,) bool."""
-        return self.force > _LOADED * self.force.max()
-
-    @property
-    def depth(self) -> float:
-        """Deepest a corner of the undeformed sole is under the ground [m]."""
-        (x, y, z), up = self.size, self.rotation[:, 2]
-        lowest = self.origin[:, 2] + up @ [*self.middle, -z]
-        lowest = lowest - np.abs(up[:, :2]) @ [x / 2, y / 2]
-        return float(max(-lowest.min(), 1e-6))
+def depth(samples: NamedTuple) -> float:
+    """Deepest a corner of the undeformed sole is under the ground [m]."""
+    (x, y, z), up = samples.size, samples.rotation[:, 2]
+    lowest = samples.origin[:, 2] + up @ [*samples.middle, -z]
+    lowest = lowest - np.abs(up[:, :2]) @ [x / 2, y / 2]
+    return float(max(-lowest.min(), 1e-6))
 
 
 def softened(
@@ -229,7 +206,7 @@ class Reduction:
     """S spheres fitted to a sole's N samples, and their forces there.
 
     Attributes:
-        samples: what they were fitted to.
+        samples: what they were fitted to, of `dx.soles.sole_samples`.
         planar: whether y and roll were left out.
         stiffness: plane-strain modulus of each sphere [N/m²], (S,).
         place: centre of each in the sole frame [m], (S, 3).
@@ -239,7 +216,7 @@ class Reduction:
         cop: centre of pressure of the spheres [m], (N, 2).
     """
 
-    samples: Samples
+    samples: NamedTuple
     planar: bool
     stiffness: np.ndarray
     place: np.ndarray
@@ -257,7 +234,7 @@ class Reduction:
     @property
     def cop_error(self) -> float:
         """RMS error of the centre of pressure where loaded [m]."""
-        off = (self.cop - self.samples.cop)[self.samples.loaded]
+        off = (self.cop - self.samples.cop)[loaded(self.samples)]
         off = off[:, :1] if self.planar else off
         return float(np.sqrt((off**2).sum(axis=1).mean()))
 
@@ -278,7 +255,7 @@ class Reduction:
         if not self.planar:
             columns["cop_y_m"] = mine.cop[:, 1]
             columns["cop_y_spheres_m"] = self.cop[:, 1]
-        return columns | {"loaded": mine.loaded.astype(int)}
+        return columns | {"loaded": loaded(mine).astype(int)}
 
     @property
     def law(self) -> SoleLaw:
@@ -320,7 +297,7 @@ class Reduction:
             ) from error
 
 
-def borne(samples: Samples, stiffness, place, constants):
+def borne(samples: NamedTuple, stiffness, place, constants):
     """Force and centre of pressure of spheres at rest in each pose.
 
     Stiffness, place and constants are those of `Reduction`.
@@ -341,7 +318,7 @@ def borne(samples: Samples, stiffness, place, constants):
 
 
 def reduce_sole(
-    samples: Iterable[np.ndarray], spheres: int = 4, planar: bool = False
+    samples: NamedTuple, spheres: int = 4, planar: bool = False
 ) -> Reduction:
     """Fit spheres to a simulated sole, for use in a study of a person.
 
@@ -372,29 +349,27 @@ def reduce_sole(
         InputError: the samples are not a sole's, spheres < 1, or the distinct
             samples hold fewer values than there are unknowns.
     """
-    samples = list(samples) if isinstance(samples, Iterable) else [samples]
-    if len(samples) < 5 or isinstance(samples[0], str):
+    if not hasattr(samples, "middle"):
         raise InputError(
             "samples are not those of a sole; give what dx.soles.sole_samples "
             "returns for a step, or for its folder"
         )
-    samples = Samples(*samples)
     if spheres < 1:
         raise InputError(f"{spheres} spheres bear nothing; take 2 or more")
     columns = [0, 1, 3] if planar else [0, 1, 2, 3]
     unknowns = spheres * len(columns) + 1
     if planar:
         samples = _in_plane(samples)
-    first = _that_differ(samples)
+    first, bears = _that_differ(samples), loaded(samples)
     known = len(first)
-    known += (1 if planar else 2) * np.count_nonzero(samples.loaded[first])
+    known += (1 if planar else 2) * np.count_nonzero(bears[first])
     if known < unknowns:
         raise InputError(
             f"samples ({len(first)} that differ) do not determine {unknowns} "
             f"unknowns of {spheres} spheres; take fewer spheres or a longer "
             "step"
         )
-    largest, loaded = samples.force.max(), samples.loaded
+    largest = samples.force.max()
     scale = np.array([1.0, *(0.1 * samples.size[:2]), 1e-3])
 
     def unpacked(u):
@@ -408,7 +383,7 @@ def reduce_sole(
 
     def residuals(u):
         total, cop = borne(samples, *unpacked(u))
-        off = (cop - samples.cop)[loaded]
+        off = (cop - samples.cop)[bears]
         off = off[:, :1] if planar else off
         return np.concatenate(
             [(total - samples.force) / (_FORCE * largest), off.ravel() / _COP_M]
@@ -427,7 +402,7 @@ def reduce_sole(
             x_scale="jac",
             max_nfev=300,
         )
-        for guess in _guesses(spheres, columns, samples.depth)
+        for guess in _guesses(spheres, columns, depth(samples))
     ]
     best = min(fits, key=lambda found: found.cost)
     found = unpacked(best.x)
@@ -450,7 +425,7 @@ def _deviations(best) -> np.ndarray:
     return np.sqrt(variance * 2 * best.cost / spare)
 
 
-def _that_differ(samples: Samples) -> np.ndarray:
+def _that_differ(samples: NamedTuple) -> np.ndarray:
     """Indices (K,) of samples that differ by over 1 µm or a millionth.
 
     Repetitions of the same pose and load count as one sample.
@@ -465,7 +440,7 @@ def _that_differ(samples: Samples) -> np.ndarray:
     return np.unique(told.round(6), axis=0, return_index=True)[1]
 
 
-def _in_plane(samples: Samples) -> Samples:
+def _in_plane(samples: NamedTuple) -> NamedTuple:
     """Samples projected on the vertical plane of the sole's mean heading.
 
     Roll, sideways positions and yaw about the mean heading are dropped.
@@ -477,8 +452,7 @@ def _in_plane(samples: Samples) -> Samples:
     c, s, zero, one = np.cos(pitch), np.sin(pitch), 0 * pitch, 0 * pitch + 1
     turn = np.array([[c, zero, s], [zero, one, zero], [-s, zero, c]])
     x, height = samples.origin[:, :2] @ ahead, samples.origin[:, 2]
-    return replace(
-        samples,
+    return samples._replace(
         origin=np.stack([x, zero, height], axis=1),
         rotation=np.moveaxis(turn, 2, 0),
         cop=np.stack([samples.cop @ ahead, zero], axis=1),

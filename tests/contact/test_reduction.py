@@ -17,7 +17,6 @@ from drake_exo.contact.hunt_crossley import (
 )
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.reduction import (
-    Samples,
     SoleLaw,
     SoleSphere,
     reduce_sole,
@@ -30,7 +29,7 @@ from drake_exo.model.description import nominal_human
 from drake_exo.model.plant import Model
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.loads import Load
-from drake_exo.soles.results import sole_samples
+from drake_exo.soles.results import SoleSamples, sole_samples
 
 SIZE = np.array([0.26, 0.1, 0.03])
 E = np.array([3e7, 6e7, 2e7])
@@ -70,11 +69,13 @@ def _truth(planar=False):
             )
             force[q] += normal
             cop[q] += normal * np.array([x, y])
-    return Samples(origin, R, force, cop / force[:, None], SIZE)
+    return _samples(origin, R, force, cop / force[:, None])
 
 
-def fit(samples, spheres, planar):
-    return reduce_sole(vars(samples).values(), spheres, planar)
+def _samples(origin, R, force, cop):
+    """Of a sole whose frame is above its middle."""
+    friction = SimbodyConstants.static_friction
+    return SoleSamples(origin, R, force, cop, SIZE, np.zeros(2), friction)
 
 
 def test_smoothing_of_a_centimetre_is_the_law_s_own():
@@ -93,7 +94,7 @@ def test_a_law_slips_at_the_sole_s_friction_however_fast():
 @pytest.mark.slow
 @pytest.mark.parametrize("planar", [True, False])
 def test_spheres_are_found_again(planar):
-    found = fit(_truth(planar), 3, planar)
+    found = reduce_sole(_truth(planar), 3, planar)
     assert found.force_error < 3e-4
     assert found.cop_error < 5e-6
     assert found.is_near
@@ -104,7 +105,7 @@ def test_spheres_are_found_again(planar):
 
 def test_errors_are_those_of_what_is_written():
     """One sphere cannot do it; the figures are those of its own table."""
-    found = fit(_truth(), 1, False)
+    found = reduce_sole(_truth(), 1, False)
     rows = found.table()
     off = rows["force_spheres_n"] - rows["force_n"]
     wanted = np.sqrt((off**2).mean()) / rows["force_n"].max()
@@ -124,26 +125,22 @@ def test_errors_are_those_of_what_is_written():
 
 def test_too_few_samples_are_refused():
     whole = _truth()
-    few = Samples(
-        whole.origin[:3], whole.rotation[:3], whole.force[:3], whole.cop[:3],
-        SIZE,
-    )  # fmt: skip
+    few = _samples(*(x[:3] for x in whole[:4]))
     with pytest.raises(InputError, match="fewer spheres"):
-        fit(few, 3, False)
+        reduce_sole(few, 3, False)
     # Nor does one tell more by being there nine times: a load that stays.
-    same = {name: np.repeat(x[:1], 9, axis=0) for name, x in vars(whole).items()
-            if name in ("origin", "rotation", "force", "cop")}  # fmt: skip
+    same = _samples(*(np.repeat(x[:1], 9, axis=0) for x in whole[:4]))
     with pytest.raises(InputError, match=r"samples \(1 that differ\)"):
-        fit(replace(whole, **same), 2, False)
+        reduce_sole(same, 2, False)
     with pytest.raises(InputError, match="take 2 or more"):
-        fit(few, 0, False)
-    for other in ("results", whole):  # a folder or a step, not what it says
+        reduce_sole(few, 0, False)
+    for other in ("results", Case.from_text(EXAMPLE)):
         with pytest.raises(InputError, match="sole_samples returns"):
             reduce_sole(other, 3)
     # A centre of pressure tells nothing where hardly anything bears.
     force = np.where(np.arange(len(whole.force)) < 2, whole.force, 1e-9)
     with pytest.raises(InputError, match="fewer spheres"):
-        fit(replace(whole, force=force), 11, False)
+        reduce_sole(whole._replace(force=force), 11, False)
 
 
 @pytest.mark.slow
@@ -202,7 +199,7 @@ def _law(**changes):
 
 @pytest.mark.slow
 def test_what_is_written_is_read(tmp_path):
-    law = fit(_truth(), 3, False).law
+    law = reduce_sole(_truth(), 3, False).law
     path = tmp_path / "law.yaml"
     path.write_text(schema.dump_text(law))
     assert SoleLaw.read(path) == law
@@ -268,11 +265,11 @@ def test_how_deep_a_sole_is():
     one = np.ones(1)
     for turn, arm in ((np.eye(3), 0.0), (pitched, 0.13), (rolled, 0.05)):
         level = np.array([[0.3, 0.2, 0.029]])
-        found = Samples(level, turn[None], one, np.zeros((1, 2)), SIZE)
+        found = _samples(level, turn[None], one, np.zeros((1, 2)))
         lowest = 0.029 - turn[2, 2] * 0.03 - arm * s
-        assert found.depth == pytest.approx(-lowest)
-    high = Samples(level + 0.1, turn[None], one, np.zeros((1, 2)), SIZE)
-    assert high.depth == 1e-6
+        assert reduction.depth(found) == pytest.approx(-lowest)
+    high = _samples(level + 0.1, turn[None], one, np.zeros((1, 2)))
+    assert reduction.depth(high) == 1e-6
 
 
 def test_a_plane_is_the_sole_s_own():
@@ -282,15 +279,14 @@ def test_a_plane_is_the_sole_s_own():
     for yaw in (0.35, 2.0, np.pi):
         c, s = np.cos(yaw), np.sin(yaw)
         R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        turned = replace(
-            samples,
+        turned = samples._replace(
             origin=samples.origin @ R.T,
             rotation=R @ samples.rotation,
             cop=samples.cop @ R[:2, :2].T,
         )
-        flat = vars(reduction._in_plane(turned))
-        for name, value in vars(plain).items():
-            np.testing.assert_allclose(flat[name], value, atol=1e-14)
+        flat = reduction._in_plane(turned)
+        for found, value in zip(flat, plain, strict=True):
+            np.testing.assert_allclose(found, value, atol=1e-14)
 
 
 def test_a_plane_has_no_roll_nor_sideways():
@@ -299,7 +295,7 @@ def test_a_plane_has_no_roll_nor_sideways():
     samples = _truth()
     moved = origin + np.array([0.1, 0.2, 0.0])
     cop = samples.cop + 0.05
-    flat = reduction._in_plane(replace(samples, origin=moved, cop=cop))
+    flat = reduction._in_plane(samples._replace(origin=moved, cop=cop))
     np.testing.assert_allclose(flat.origin[:, 1], 0.0)
     np.testing.assert_allclose(flat.origin[:, 0], 0.1)
     np.testing.assert_allclose(flat.origin[:, 2], origin[:, 2])
@@ -347,11 +343,12 @@ def test_a_frame_beside_the_sole_gives_the_same_spheres(planar):
     """As of a pad under the toes in the frame of an ankle."""
     own, middle = _truth(planar), np.array([0.3, 0.05])
     away = np.array([*middle * [1, not planar], 0])
-    moved = replace(own, origin=own.origin - own.rotation @ away, middle=middle)
-    there, here = fit(moved, 1, planar), fit(own, 1, planar)
+    origin = own.origin - own.rotation @ away
+    moved = own._replace(origin=origin, middle=middle)
+    there, here = reduce_sole(moved, 1, planar), reduce_sole(own, 1, planar)
     np.testing.assert_allclose(there.place, here.place + away, atol=1e-5)
     assert there.force_error == pytest.approx(here.force_error, rel=2e-5)
-    assert moved.depth == pytest.approx(own.depth)
+    assert reduction.depth(moved) == pytest.approx(reduction.depth(own))
 
 
 @pytest.mark.slow
@@ -361,7 +358,7 @@ def test_intervals_are_in_the_units_of_what_they_are_of(planar, monkeypatch):
     columns = [0, 1, 3] if planar else [0, 1, 2, 3]
     sd = 0.01 * np.arange(1 + 2 * len(columns))
     monkeypatch.setattr(reduction, "_deviations", lambda best: sd)
-    found = fit(_truth(planar=planar), 2, planar)
+    found = reduce_sole(_truth(planar=planar), 2, planar)
     scale = np.array([1.0, 0.1 * SIZE[0], 0.1 * SIZE[1], 1e-3])[columns]
     expected = 1.96 * sd[1:].reshape(2, -1) * scale
     np.testing.assert_allclose(found.interval[:, columns], expected)
@@ -373,5 +370,7 @@ def test_where_a_centre_of_pressure_counts():
     """From a tenth of the largest force on."""
     force = np.array([100.0, 11.0, 9.0, 0.0, 19.0])
     flat = np.zeros((5, 3))
-    own = Samples(flat, np.eye(3)[None].repeat(5, 0), force, flat[:, :2], SIZE)
-    np.testing.assert_array_equal(own.loaded, [True, True, False, False, True])
+    R = np.eye(3)[None].repeat(5, 0)
+    own = _samples(flat, R, force, flat[:, :2])
+    found = reduction.loaded(own)
+    np.testing.assert_array_equal(found, [True, True, False, False, True])

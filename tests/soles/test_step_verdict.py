@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drake_exo.contact.reduction import Samples
 from drake_exo.errors import InputError
 from drake_exo.soles import results
 from drake_exo.soles.case import EXAMPLE, Case
@@ -410,7 +409,6 @@ def test_a_sole_as_a_whole_is_read_from_its_history(two, tmp_path):
     write_history(tmp_path / HISTORY, two.sole.mesh, two.times, history)
     told = sole_samples(tmp_path)
     O, R, force, cop, size, middle, mu = told  # noqa: E741
-    assert told._asdict().keys() == vars(Samples(*told)).keys()
     assert told.cop is cop and told.friction is mu
     good = np.delete(np.arange(30), 4)
     np.testing.assert_array_equal(O, two.origin[good])
