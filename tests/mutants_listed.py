@@ -574,10 +574,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("best = min(best, (share, float(lag)))", "best = share, float(lag)"),
         ("1e3 * lag if is_told else 0.0", "1e3 * lag"),
         ("np.std(missed[known])", "np.abs(missed[known]).max()"),
-        (
-            "device.T[upright] - human[upright], axis=0",
-            "device.T - human, axis=0",
-        ),
+        ("off[upright].mean(axis=0)", "off.mean(axis=0)"),
         ("(measured + device) / (stated + device)", "measured / stated"),
         ("off = measured / stated - 1.0", "off = measured / stated"),
         ("(moment - (z * F_x - x * F_z)) ** 2", "moment**2"),

@@ -1095,7 +1095,8 @@ def _offsets(e: Evidence) -> np.ndarray:
     human = np.rad2deg(e.expected(motion.q[both]))
     device = linear(angles.time, angles.values, motion.time[both])
     upright = _most_upright(human)
-    return np.mean(np.rad2deg(device[upright]) - human[upright], axis=0)
+    off = np.rad2deg(device) - human
+    return off[upright].mean(axis=0)
 
 
 def _most_upright(human: np.ndarray) -> np.ndarray:
