@@ -444,9 +444,7 @@ def _enter(sole, solver, target: Target, largest: float, known: State | None):
             state = FiniteState(guess.F, guess.O, guess.R, u)
             state, report = solver.solve(state, aim)
             if report.converged:
-                entry = report.iterations
                 found, report = lead(solver, state, aim, target)
-                report.iterations += entry
                 report.reached = part + report.reached * (1.0 - part)
         if report.converged:
             return found, report
