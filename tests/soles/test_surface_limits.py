@@ -31,6 +31,26 @@ def _deformed(mesh, spline, p):
     return mesh.with_nodes(spline.deform(mesh.nodes, p))
 
 
+def test_a_corner_cut_off_at_the_rim_is_no_bottom(bent):
+    """It looks downwards like the bottom, but reaches the top."""
+    mesh = bent[0]
+    corner = np.argmin(
+        np.linalg.norm(mesh.nodes - [0.12, 0.05, -0.015], axis=1)
+    )
+    cut = mesh.nodes.copy()
+    cut[corner] = [0.112, 0.043, -0.01]
+    cut = mesh.with_nodes(cut)
+    assert cut.volumes.min() > 0
+    normals, size = cut.areas(cut.contact_faces)
+    slanted = (normals[:, 2] < -0.5 * size) & np.isin(
+        cut.contact_faces, corner
+    ).any(axis=1)  # fmt: skip
+    assert slanted.any()
+    assert np.isin(cut.contact_faces[slanted], cut.fixed).any(axis=1).all()
+    limits = SurfaceLimits(ALL, cut, np.ones(len(cut.nodes), bool))
+    assert limits.measures(cut)["depth"] == pytest.approx(0.03)
+
+
 def test_values_are_those_of_the_surface(bent):
     """By a loop over nodes and faces; soft minima err on the safe side."""
     mesh, spline, p = bent

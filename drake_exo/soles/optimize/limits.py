@@ -320,9 +320,14 @@ class SurfaceLimits:
 
     @cached_property
     def _bottom(self) -> np.ndarray:
-        """Those on faces that look downwards rather than sideways."""
+        """Those on faces that look downwards rather than sideways.
+
+        Faces at the top's rim, such as a corner that coarse elements cut off,
+        belong to the sides: no design gives them any depth.
+        """
         faces = self.mesh.contact_faces
         down = _normals(self.mesh, faces)[1] < -_DOWNWARDS
+        down &= ~np.isin(faces, self.mesh.fixed).any(axis=1)
         return np.intersect1d(faces[down], self._bare)
 
     @cached_property
