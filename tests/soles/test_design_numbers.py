@@ -146,6 +146,8 @@ def test_a_limit_is_held_to_a_hundredth(design, name):
         check = mine[f"bounds.{name}"]
         assert check.value == pytest.approx(factor * value)
         assert check.limit == pytest.approx(factor * limit)
+        more = "some percent more" in check.sentence
+        assert more is (name == "c_rot" and not holds)
         said = "begin with a shape" in check.sentence
         of_shape = name in ("depth", "height", "draft")
         assert said is (of_shape and not check.holds)

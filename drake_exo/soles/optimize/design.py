@@ -293,6 +293,11 @@ class Design:
         limits, name = self.problem.limits, self.setup.name
         surface = self.problem.surface.measures(self.mesh)
         cm3 = 1e6 * self.mesh.volume
+        shaped = ", or begin with a shape that is within it"
+        further = dict.fromkeys(("depth", "height", "draft"), shaped) | {
+            "c_rot": ", or ask for some percent more: the search's smoothed "
+            "law and few samples overrate c_rot"
+        }
         # Limits on tilt and stability do not hold for prescribed poses.
         free = ~self.setup.load.is_measured
         margin = np.min(self.step.stability[free], initial=np.inf)
@@ -314,11 +319,7 @@ class Design:
                 float(value), limit, unit, name,
                 "the design by the exact law is outside the case's limit; "
                 "optimise it longer (resume, iterations)"
-                + (
-                    ", or begin with a shape that is within it"
-                    if what in ("depth", "height", "draft")
-                    else ""
-                ),
+                + further.get(what, ""),
             )
             for what, value, limit, unit, sign in held
             if limit is not None
