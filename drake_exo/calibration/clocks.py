@@ -39,10 +39,7 @@ _FIRST_ORDER_S = 0.05
 # and above this [rad] at the rate at which the signal changes: in walks with
 # rates of 50 rad/s, mats 29 to 37 ms early come out as 17 to 19.
 _FIRST_ORDER_RAD = 0.5
-_GIVEN = {
-    "encoders": "laboratory.encoder_delay_s",
-    "pressure": "laboratory.pressure_delay_s",
-}
+_GIVEN = {"encoders": "encoder_delay_s", "pressure": "pressure_delay_s"}
 _ORIGIN_M = 1e-3  # standard deviation of a cuff's place from trial to trial
 
 
@@ -299,7 +296,7 @@ def clock_checks(
                 far = 1e3 * off, 1e3 * limit, "ms"
                 text += (
                     ", too far off for more than a rough value: set "
-                    f"{_GIVEN[system]} to about this, and run again"
+                    f"{_GIVEN[system]} of this trial to it, and run again"
                 )
                 made.append(Check("clocks", False, *far, where, text, "note"))
     return made

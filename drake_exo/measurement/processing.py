@@ -354,7 +354,7 @@ def process(
     worn = files.pressure if model.cuffs else ()
     mats = read_mat_forces(worn, settings.mats, root, low_pass_filter)
     if mats:
-        lag = laboratory.pressure_delay_s
+        lag = _lag(files.pressure_delay_s, laboratory.pressure_delay_s)
         clocks["pressure"] = _to_find(lag, laboratory.estimate_pressure_delay)
         mats = tuple(mat.delayed(lag) for mat in mats)
     return Recording(
@@ -516,7 +516,7 @@ def _device(files, model: Model, settings, root):
     laboratory, device = settings.laboratory, settings.device or Device()
     joints = model.coordinates.device
     moments = angles = clock = None
-    lag = laboratory.encoder_delay_s
+    lag = _lag(files.encoder_delay_s, laboratory.encoder_delay_s)
     if files.encoders is not None or files.exo_moments is not None:
         clock = _to_find(lag, laboratory.estimate_encoder_delay)
     if files.exo_moments is not None:
@@ -530,6 +530,11 @@ def _device(files, model: Model, settings, root):
         angles = read_angles(path, joints, legs, settings.filter)
         angles = angles.delayed(lag)
     return angles, moments, clock
+
+
+def _lag(of_trial: float | None, of_laboratory: float) -> float:
+    """Lag [s] that the study gives; systems may be started trial by trial."""
+    return of_laboratory if of_trial is None else of_trial
 
 
 def _to_find(lag: float, is_unknown: bool) -> Clock:

@@ -564,6 +564,10 @@ class TrialFiles:
         exo_moments: file with the recorded moments of these joints; if left
             out, the moments follow from `device`.
         pressure: recordings of the mats.
+        encoder_delay_s: lag of the encoders' clock in this trial, instead of
+            the laboratory's.
+        pressure_delay_s: lag of the mats' clock in this trial, instead of the
+            laboratory's.
         empty_plates: recording of the same plates with nothing on them; it
             levels plates that are never unloaded in the trial.
         rise: which sit-to-stand rise found in the recording is used, from 1.
@@ -588,6 +592,8 @@ class TrialFiles:
     encoders: Path | None = None
     exo_moments: Path | None = None
     pressure: tuple[PressureFile, ...] = ()
+    encoder_delay_s: float | None = quantity("s", None)
+    pressure_delay_s: float | None = quantity("s", None)
     empty_plates: Path | None = None
     rise: int | None = quantity(None, None, minimum=1)
     seated_s: float = quantity("s", 0.0, minimum=0.0)

@@ -220,7 +220,7 @@ def test_checks_tell_what_is_known_of_each_clock(in_device):
         "-63 ± 8 ms, too far off for more than a rough value"
     )
     assert far.sentence.endswith(
-        "laboratory.encoder_delay_s to about this, and run again"
+        "set encoder_delay_s of this trial to it, and run again"
     )
     unfound = clock_checks([trial])
     assert [c.holds for c in unfound] == [False, False]
@@ -249,7 +249,7 @@ def test_fast_signals_make_a_smaller_lag_rough(in_device):
     (mats,) = rough("pressure", 0.027)
     assert mats.limit == pytest.approx(25.0, rel=0.05) and not mats.holds
     assert mats.sentence.endswith(
-        "laboratory.pressure_delay_s to about this, and run again"
+        "set pressure_delay_s of this trial to it, and run again"
     )
     # A lag that is not known anyway is no value to write into a study.
     assert rough("pressure", 0.027, sd_s=0.02) == []

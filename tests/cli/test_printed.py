@@ -152,7 +152,7 @@ def test_a_crossvalidation_tells_the_clocks_of_trials_left_out(
     assert (system, lag_s) == ("pressure", -0.034)
     said = capsys.readouterr().out
     assert "b, pressure       -34   ± 4" in said
-    assert "set laboratory.pressure_delay_s to about this" in said
+    assert "set pressure_delay_s of this trial to it, and run" in said
 
 
 @pytest.mark.parametrize("stopped", [True, False])

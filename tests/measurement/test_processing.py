@@ -238,6 +238,18 @@ def test_encoders_join_at_their_own_rate(coupled):
     np.testing.assert_allclose(trial.v[:, 6], speed, atol=3e-7)
 
 
+@pytest.mark.parametrize(("own", "lag"), [(None, 0.1), (-0.04, -0.04)])
+def test_a_trial_may_have_a_lag_of_its_own(coupled, own, lag):
+    """Systems that are started by hand lag by another time in each trial."""
+    folder, study = coupled
+    late = replace(study.laboratory, encoder_delay_s=0.1)
+    trials = (replace(study.trials[0], encoder_delay_s=own),)
+    _, (trial,) = load(replace(study, trials=trials, laboratory=late), folder)
+    assert trial.lags_s["encoders"] == lag
+    ankle = np.deg2rad(20.0) * (1.0 - np.cos(time_of(trial) + lag))
+    np.testing.assert_allclose(trial.q[:, 6], ankle, atol=2e-7)
+
+
 def test_without_encoders_the_exoskeleton_is_aligned(coupled):
     folder, study = coupled
     trials = (replace(study.trials[0], encoders=None),)

@@ -304,6 +304,22 @@ def test_mats_push_by_segment_and_one_leg_counts_twice(files):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("own", "lag"), [(None, 0.1), (-0.2, -0.2)])
+def test_mats_of_a_trial_may_have_a_lag_of_their_own(files, own, lag):
+    folder, study = files
+    late = replace(study.laboratory, pressure_delay_s=0.1)
+    study = replace(with_mat(study), laboratory=late)
+    time = np.arange(0.0, 9.0, 0.02)
+    rows = [f"{t:.2f}," + ",".join([f"{10 * t:g}"] * 6) for t in time]
+    head = "time [s]; kPa,a,b,c,d,e,f"
+    (folder / "mat.csv").write_text("\n".join([head, *rows]) + "\n")
+    _, (trial,) = load(with_trial(study, pressure_delay_s=own), folder)
+    assert trial.lags_s["pressure"] == lag
+    shown = -12.0 * (trial.times + trial.start_s + lag)
+    np.testing.assert_allclose(trial.cuff("thigh").normal, shown, atol=1e-3)
+
+
+@pytest.mark.slow
 def test_refuses_mats_that_are_short_or_of_another_size(files):
     folder, study = files
     pressure_csv(folder / "mat.csv", 6, end=1.6)
