@@ -286,7 +286,7 @@ def moments_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
 def front_figure(rows: list[dict]) -> Figure:
     """Pareto front of force against angle error; hollow: not solved."""
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(4.5, 3.4))
+        figure = Figure(figsize=(4.5, 3.4), layout="constrained")
         ax = figure.subplots()
         for solved, style in ((True, "-o"), (False, "o")):
             some = [r for r in rows if r["success"] is solved]
@@ -294,20 +294,30 @@ def front_figure(rows: list[dict]) -> Figure:
             y = [r["grf_n"] for r in some]
             face = None if solved else "none"
             ax.plot(x, y, style, color=_MODEL, mfc=face)
-        for row in rows:
+        for k, row in enumerate(rows):
             said = "" if row["success"] else ", not solved"
             at = row["angles_deg"], row["grf_n"]
-            _beside(ax, at, f"×{row['factor']:g}{said}")
+            _beside(ax, at, f"×{row['factor']:g}{said}", k % 2 == 0)
+        ax.margins(0.12)  # room for the texts
         ax.set_xlabel("joint angles, mean RMSD [°]")
         ax.set_ylabel("ground reaction, mean RMSD [N]")
         ax.set_title("Pareto front; ×: factor on the noise of forces")
-        figure.tight_layout()
     return figure
 
 
-def _beside(axis, at: tuple[float, float], text: str) -> None:
-    """Write a text beside a point."""
-    axis.annotate(text, at, textcoords="offset points", xytext=(6, 4))
+def _beside(axis, at: tuple[float, float], text: str, above: bool) -> None:
+    """Write a text beside a point of a front.
+
+    Above or below in turn, since neighbours may lie close.
+    """
+    axis.annotate(
+        text,
+        at,
+        textcoords="offset points",
+        xytext=(6, 4) if above else (-6, -4),
+        ha="left" if above else "right",
+        va="bottom" if above else "top",
+    )
 
 
 def _drawn(runs, trials, rows, height=1.9, shade=None) -> Figure:
@@ -802,10 +812,10 @@ def design_front_figure(rows: list[dict]) -> Figure:
                 ms=4,
                 mfc=face,
             )
-        for row in rows:
+        for k, row in enumerate(rows):
             at = row["work_j"], row["norm_n"]
-            _beside(axis, at, f"×{row['share']:g}")
-        axis.margins(x=0.1)
+            _beside(axis, at, f"×{row['share']:g}", k % 2 == 0)
+        axis.margins(0.12)  # room for the texts
         axis.set_title(
             "Pareto front; ×: share of today's work; hollow: dominated"
         )

@@ -310,6 +310,23 @@ def test_a_front_is_force_against_angle():
     }  # fmt: skip
 
 
+def test_factors_of_a_front_can_be_read_where_it_is_flat():
+    points = {
+        0.25: (0.331, 0.13), 0.5: (0.329, 0.18), 1.0: (0.326, 0.34),
+        2.0: (0.315, 0.96), 4.0: (0.281, 2.6),
+    }  # fmt: skip
+    figure = figures.front_figure(
+        [
+            {"factor": factor, "success": True, "angles_deg": x, "grf_n": y}
+            for factor, (x, y) in points.items()
+        ]
+    )
+    figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in figure.axes[0].texts]
+    for k, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[:k])
+
+
 def test_quality_shows_what_was_loaded():
     trial = replace(
         seen("one"),
