@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from drake_exo.calibration.results import (
+    MODEL,
     read_calibration,
     read_model,
     read_trial,
@@ -18,6 +19,7 @@ from drake_exo.calibration.results import (
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
     SOLVED,
+    checksum,
     is_accepted,
     read_json,
     stored,
@@ -174,6 +176,13 @@ def check_one_study(found: Sequence[Results]) -> None:
                 f"{found[0].folder} is of {found[0].summary['subject']!r}; "
                 "report a folder of one subject"
             )
+        bodies = {_body(r), _body(found[0])} - {None}
+        if len(bodies) > 1:
+            raise InputError(
+                f"{r.folder}: is of a subject of the same name as that of "
+                f"{found[0].folder}, but with another body; report a folder "
+                "of one subject"
+            )
         label = r.label if r.phase == "prediction" else ""
         other = first.setdefault((r.phase, label), r)
         if other is not r:
@@ -181,6 +190,14 @@ def check_one_study(found: Sequence[Results]) -> None:
                 f"{r.folder}: this and {other.folder} are both "
                 f"{label or r.phase}; report a folder with one of them"
             )
+
+
+def _body(results: Results) -> str | None:
+    """Checksum of a subject's segments; None if they were not written."""
+    if not (results.folder / MODEL).is_file():
+        return None
+    person = read_model(results.folder).human
+    return checksum([person.foot, person.shank, person.thigh, person.pelvis])
 
 
 def _check(path: Path, summary: dict[str, Any]) -> None:

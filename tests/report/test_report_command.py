@@ -10,7 +10,11 @@ import pytest
 from undrawn import undrawn
 
 from drake_exo.calibration.audit import rmsd, spread
-from drake_exo.calibration.results import read_trial, write_trial
+from drake_exo.calibration.results import (
+    read_trial,
+    write_model,
+    write_trial,
+)
 from drake_exo.cli import main, predict
 from drake_exo.files.output import Check, Verdict, write_json
 from drake_exo.measurement.trial import CuffForce
@@ -209,3 +213,21 @@ def test_two_subjects_are_refused(trials, tmp_path, capsys):
     leave(tmp_path / "b", trials, "interaction", subject="another")
     assert main(["report", str(tmp_path)]) == 2
     assert "report a folder of one subject" in capsys.readouterr().err
+
+
+def test_two_bodies_of_one_name_are_refused(trials, tmp_path, capsys):
+    """Laboratories call more than one person "subject"."""
+    leave(tmp_path / "a", trials, "prediction")
+    leave(tmp_path / "b", trials, "interaction")
+    model = nominal_model("coupled")
+    write_model(tmp_path / "a", model)
+    assert main(["report", str(tmp_path), "--out", str(tmp_path / "r")]) == 0
+    human = replace(model.human, shank_cuff_m=(0.0, 0.2))
+    write_model(tmp_path / "b", replace(model, human=human))
+    again = ["report", str(tmp_path), "--out", str(tmp_path / "r"), "--force"]
+    assert main(again) == 0  # the same person in another device
+    thigh = replace(human.thigh, length_m=human.thigh.length_m + 0.02)
+    human = replace(human, thigh=thigh)
+    write_model(tmp_path / "b", replace(model, human=human))
+    assert main(again) == 2
+    assert "of the same name" in capsys.readouterr().err
