@@ -8,15 +8,12 @@ many seeds; the intervals come from the optimality conditions.
 
 import argparse
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cache
 
 import numpy as np
 from calls import run_calls
 
-from drake_exo.calibration.error_model import NO_ERRORS
-from drake_exo.calibration.phases import InteractionCalibration
-from drake_exo.calibration.settings import InteractionSettings, Solver
 from drake_exo.calibration.uncertainty import uncertainty
 from drake_exo.virtual_laboratory.synthetic import (
     INSTRUMENT_NOISE,
@@ -29,11 +26,9 @@ from drake_exo.virtual_laboratory.synthetic import (
 def _made(nodes_per_second: float):
     """Exact trials, settings, and the true parameters by name."""
     made = rises_in_device(nodes_per_second=nodes_per_second)
-    settings = InteractionSettings(
-        noise=INSTRUMENT_NOISE,
-        prior_weight=0.01,
-        errors=NO_ERRORS,
-        solver=Solver(nodes_per_second),
+    settings = made.settings(noise=INSTRUMENT_NOISE, prior_weight=0.01)
+    settings = replace(
+        settings, solver=replace(settings.solver, tolerance=1e-5)
     )
     names = [p.name for p in settings.parameters(made.model.cuffs)]
     truth = np.array([made.contact.values()[name] for name in names])
@@ -47,9 +42,7 @@ def solve(nodes_per_second: float, seed: int) -> tuple | None:
         noisy(trial, 1000 * seed + k, INSTRUMENT_NOISE)
         for k, trial in enumerate(made.trials)
     ]
-    result = InteractionCalibration(
-        made.model, trials, made.contact, settings
-    ).solve()
+    result = made.calibration(settings, trials).solve()
     if not result.success:
         return None
     found = uncertainty(result)

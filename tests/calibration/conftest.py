@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import pytest
-from exact_rises import exact_rises
 from undrawn import undrawn
 
 from drake_exo.calibration.settings import (
@@ -15,6 +14,7 @@ from drake_exo.calibration.settings import (
 )
 from drake_exo.cli import main
 from drake_exo.model.plant import nominal_model
+from drake_exo.virtual_laboratory import synthetic
 
 _STUDY = Path(__file__).parents[1] / "studies" / "opencap_predict.yaml"
 
@@ -38,7 +38,7 @@ def calibrated(command, tmp_path_factory):
 @pytest.fixture(scope="session")
 def in_device():
     """Three exact trials with known cuffs, 50 nodes a second."""
-    return exact_rises()
+    return synthetic.rises_in_device()
 
 
 @pytest.fixture(scope="session")

@@ -4,13 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from exact_rises import exact_rises
 
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.model.assembly import Assembly, CuffLinks, DeviceFile
 from drake_exo.model.description import models_path, nominal_human
 from drake_exo.model.device_file import with_text
 from drake_exo.model.plant import Model
+from drake_exo.virtual_laboratory.synthetic import rises_in_device
 
 HIP = Assembly(
     device=DeviceFile({"belt": "pelvis"}, Path("hip_only.urdf")),
@@ -21,7 +21,7 @@ HIP = Assembly(
 @pytest.mark.slow
 def test_a_hip_belt_is_calibrated_and_predicted():
     model = Model(with_text(HIP, models_path()), nominal_human())
-    made = exact_rises(2, 50.0, model=model)
+    made = rises_in_device(2, 50.0, model=model)
     assert [list(trial.cuffs) for trial in made.trials] == [["strap"]] * 2
     found = made.calibration(made.exact_settings()).solve()
     assert found.success

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exact_rises import ExactRises
 from measured_trials import seen
 
 from drake_exo.calibration.settings import FootGroundSettings
@@ -222,7 +221,7 @@ def test_true_cuffs_are_moved_from_the_models_own(monkeypatch):
 
 def test_exact_data_are_hardly_held_by_anything_else():
     """Energy, jerk and priors weigh next to nothing in such settings."""
-    made = ExactRises(nominal_model("coupled"), None, [], 50.0)
+    made = synthetic.RisesInDevice(nominal_model("coupled"), None, [], 50.0)
     usual, exact = made.settings(), made.exact_settings()
     assert usual.solver.nodes_per_second == 50.0
     assert usual.solver.tolerance == 1e-6 and exact.solver.tolerance == 1e-9
