@@ -13,6 +13,7 @@ from drake_exo.errors import InputError
 from drake_exo.jobs.engine import second_process
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+import all as benchmarks
 from calls import run_calls
 
 pytestmark = pytest.mark.slow
@@ -65,6 +66,13 @@ def test_benchmarks_run_as_files_and_as_modules(how):
     for name in set(names) - {"calls"}:
         words = [word.format(name) for word in how]
         subprocess.run([sys.executable, *words, "--help"], cwd=root, check=True)
+
+
+@pytest.mark.parametrize("script", ["interval_coverage", "phases", "weights"])
+def test_short_benchmarks_run(script, tmp_path):
+    """Those of a few seconds; benchmarks/all.py --quick runs the others."""
+    row = benchmarks.run(f"{script}.py", True, tmp_path, str(tmp_path))
+    assert row["code"] == 0, row["error"]
 
 
 def test_calls_beside_are_waited_for():
