@@ -747,17 +747,22 @@ class Cluster(Pool):
                 if name is not None and future.cancelled():
                     self._submit(self._jobs[name])
                 elif name is not None:
-                    ended.append(self._end(future, name))
+                    try:
+                        ended.append(self._end(future, name))
+                    except OSError:  # the scheduler died with the answer
+                        self._submit(self._jobs[name])
                 future = self._done.get_nowait()
         return ended
 
     def _end(self, future, name: str) -> Ended:
-        del self._jobs[name], self._since[name]
         error = future.exception()
         if error is None:
-            return future.result()
-        # A Dask worker was lost too often, or cannot import this package.
-        return Ended(name, "lost", error=f"the cluster says: {reason(error)}")
+            found = future.result()
+        else:  # a Dask worker was lost too often, or cannot import this package
+            why = f"the cluster says: {reason(error)}"
+            found = Ended(name, "lost", error=why)
+        del self._jobs[name], self._since[name]
+        return found
 
     def _begin_again(self) -> None:
         """Connect to a restarted scheduler and submit unfinished jobs again."""

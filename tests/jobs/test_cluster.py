@@ -2,11 +2,13 @@
 
 import json
 import os
+import queue
 import signal
 import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -179,3 +181,22 @@ def test_nobody_answers(monkeypatch):
     monkeypatch.setattr(engine, "_CONNECT_SECONDS", 0.0)
     with pytest.raises(InputError, match="does not answer"):
         Cluster("tcp://127.0.0.1:9")
+
+
+def test_an_answer_that_dies_with_the_scheduler_is_asked_for_again():
+    def gone():
+        raise OSError("the connection is closed")  # as CommClosedError
+
+    class Lost:
+        cancelled = exception = staticmethod(lambda: None)
+        result = staticmethod(gone)
+
+    lost = Lost()
+    pool, job, again = object.__new__(Cluster), naps(1, 0.1)[0], []
+    pool._client = SimpleNamespace(status="running")
+    pool._done, pool._futures = queue.Queue(), {lost: job.name}
+    pool._jobs, pool._since = {job.name: job}, {job.name: 0.0}
+    pool._submit = again.append
+    pool._done.put(lost)
+    assert pool.wait(1.0) == []
+    assert again == [job] and pool._jobs == {job.name: job}
