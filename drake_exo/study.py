@@ -103,7 +103,7 @@ from drake_exo.measurement.settings import (
 from drake_exo.measurement.steps import RecordedStep, recorded_step
 from drake_exo.measurement.subject import SubjectModel, fit_subject
 from drake_exo.measurement.trial import Trial, as_trials
-from drake_exo.model.assembly import Assembly, without_side
+from drake_exo.model.assembly import Assembly, named_so
 from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.gathering import rmsd_table
@@ -144,7 +144,7 @@ def _check_names(phase: str, settings, model: Assembly) -> None:
         group, own = "cuffs", model.cuffs
     else:
         return
-    known = dict.fromkeys([*own, *map(without_side, own)])
+    known = named_so(own)
     for key, given in (
         (f"{phase}.{group}", getattr(settings, group)),
         (phase, own_keys(settings)),

@@ -33,7 +33,7 @@ from drake_exo.contact.strap import (
 from drake_exo.errors import InputError, check_bounds
 from drake_exo.files.schema import not_negative, positive, quantity
 from drake_exo.measurement.settings import Device, Filter, JointDrive
-from drake_exo.model.assembly import without_side
+from drake_exo.model.assembly import either_side
 from drake_exo.model.segments import CUFFED, place
 from drake_exo.nlp.ipopt import SolverOptions
 
@@ -352,8 +352,7 @@ class FootGroundSettings:
     def of(self, sphere: str) -> SphereSettings:
         """Settings of one sphere by name; `heel` also gives `heel_left`."""
         own = {"heel": self.heel, "toe": self.toe} | self.spheres
-        usual = own.get(without_side(sphere), SphereSettings())
-        return own.get(sphere, usual)
+        return either_side(own, sphere, SphereSettings())
 
     def parameters(
         self, places: dict[str, tuple[float, float]]
@@ -570,8 +569,7 @@ class InteractionSettings:
     def of(self, cuff: str) -> BushingSettings:
         """Settings of one cuff by name; `thigh` also gives `thigh_left`."""
         own = {name: getattr(self, name) for name in CUFFED} | self.cuffs
-        usual = own.get(without_side(cuff), BushingSettings())
-        return own.get(cuff, usual)
+        return either_side(own, cuff, BushingSettings())
 
     def parameters(
         self, places: dict[str, tuple[float, float]]
@@ -969,5 +967,4 @@ class DesignSettings:
 
     def freedom(self, cuff: str) -> CuffFreedom:
         """What may change of a cuff; `thigh` also gives `thigh_left`."""
-        usual = self.cuffs.get(without_side(cuff), CuffFreedom())
-        return self.cuffs.get(cuff, usual)
+        return either_side(self.cuffs, cuff, CuffFreedom())

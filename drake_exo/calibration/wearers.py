@@ -44,7 +44,7 @@ from drake_exo.measurement.exoskeleton import (
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import Device
 from drake_exo.measurement.trial import Trial
-from drake_exo.model.assembly import without_side
+from drake_exo.model.assembly import named_so
 from drake_exo.model.description import refitted
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import CUFFED, SEGMENTS, HumanParameters
@@ -462,9 +462,8 @@ def check_wearers(wearers: Sequence[Wearer], settings: DesignSettings) -> None:
     if not wearers:
         raise InputError("there are no wearers; give at least one calibration")
     first = wearers[0].model
-    known = {*first.cuffs, *map(without_side, first.cuffs)}
     for cuff in settings.cuffs:
-        if cuff not in known:
+        if cuff not in named_so(first.cuffs):
             raise InputError(
                 f"design.cuffs.{cuff}: the model has no such cuff; it has "
                 f"{', '.join(first.cuffs) or 'none'}"

@@ -6,10 +6,10 @@ on others; spheres touch the ground. The subject's masses and lengths are in
 `segments`. This module does not import pydrake.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 from drake_exo.errors import InputError
 from drake_exo.files.schema import quantity
@@ -19,6 +19,7 @@ Legs = Literal["one", "two"]
 Toes = Literal["rigid", "hinged"]
 Point = tuple[float, float]
 SIDES = ("left", "right")
+Given = TypeVar("Given")
 
 
 @dataclass(frozen=True)
@@ -297,6 +298,25 @@ def without_side(part: str) -> str:
     """
     name, _, side = part.rpartition("_")
     return name if name and side in SIDES else part
+
+
+def either_side(given: Mapping[str, Given], part: str, usual: Given) -> Given:
+    """What is given for a part, or for its name without a side, or else usual.
+
+    >>> either_side({"thigh": 1, "foot_left": 2}, "thigh_left", 0)
+    1
+    """
+    return given.get(part, given.get(without_side(part), usual))
+
+
+def named_so(parts: Iterable[str]) -> list[str]:
+    """Names by which parts may be given: their own, and those without a side.
+
+    >>> named_so(["heel_left", "heel_right"])
+    ['heel_left', 'heel_right', 'heel']
+    """
+    parts = list(parts)
+    return list(dict.fromkeys([*parts, *map(without_side, parts)]))
 
 
 def other_side(part: str) -> str:
