@@ -22,6 +22,7 @@ from drake_exo.files.tables import (
     MarkerData,
     PlateRecording,
     Table,
+    comma_separated,
     read_csv_table,
     read_text,
     runs,
@@ -118,7 +119,7 @@ def _of_csv(path: Path) -> list[Section]:
         return [_plates(*read_plate_csv(path))]
     if "Format Version" in first:
         return [_markers(read_markers_csv(path))]
-    cells = first.replace('"', "").split(",")
+    cells = comma_separated(path, first)
     if [cell.strip().lower() for cell in cells[:2]] == ["row", "column"]:
         return [_places(path)]
     if ";" in cells[0] and len(cells) > 1:
