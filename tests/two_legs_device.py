@@ -27,18 +27,13 @@ def device():
     return f'<robot name="hip_and_knee">{"".join(parts)}</robot>'
 
 
-def description():
-    """What a study's `model` says of a person in it."""
-    return (
+def write(folder):
+    """Write its file, and beside it what a study's `model` says; that path."""
+    (folder / "hip_and_knee.urdf").write_text(device())
+    path = folder / "worn.yaml"
+    path.write_text(
         "human: {legs: two}\n"
         "device: {file: hip_and_knee.urdf, weld: {belt: pelvis}}\n"
         f"cuffs:\n{CUFFS}"
     )
-
-
-def write(folder):
-    """Write the device's file, and the description beside it; its path."""
-    (folder / "hip_and_knee.urdf").write_text(device())
-    path = folder / "worn.yaml"
-    path.write_text(description())
     return path
