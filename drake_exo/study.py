@@ -25,8 +25,10 @@ from drake_exo.calibration.clocks import (
     Timing,
     clocks_of,
     left,
+    of_trial,
     phase_checks,
     retimed,
+    settle,
 )
 from drake_exo.calibration.phases import (
     FootGroundCalibration,
@@ -47,13 +49,14 @@ from drake_exo.calibration.results import (
     write_trial,
 )
 from drake_exo.calibration.settings import (
+    FEWEST_NODES,
     DesignSettings,
     FootGroundSettings,
     InteractionSettings,
     PredictionSettings,
     own_keys,
 )
-from drake_exo.calibration.solving import SolveWatch, forget, solve
+from drake_exo.calibration.solving import add_up, forget, solve
 from drake_exo.calibration.uncertainty import (
     Bands,
     Uncertainty,
@@ -594,10 +597,10 @@ class Calibration(_Solved):
 
     @cached_property
     def _measured(self) -> list[Trial]:
-        """The measured trials, encoders shifted by the lags found."""
+        """The measured trials, readings shifted by the lags found."""
         found = self.clocks if self.success else []
         return [
-            retimed(trial, [c for c in found if c.trial == trial.name])
+            retimed(trial, of_trial(trial, found))
             for trial in self.result.problem.trials
         ]
 
@@ -636,7 +639,7 @@ class Calibration(_Solved):
     def rmsd(self) -> list[dict]:
         """RMS differences from the measured trials, a dictionary for each.
 
-        Encoders are shifted by the lags found. See `audit.rmsd` for the keys.
+        Readings are shifted by the lags found. See `audit.rmsd` for the keys.
         """
         return [
             audit.rmsd(found, measured, self.phase != "foot-ground")
@@ -723,7 +726,7 @@ class Calibration(_Solved):
         verdict = verdict or self.verdict()
         summary, mark = self.summary(verdict), verdict.mark
         model, trials = found.problem.model, found.problem.trials
-        # Encoders shifted, as they are compared with the solution.
+        # Readings shifted, as they are compared with the solution.
         write_inputs(folder, model, self._measured)
         write_contact(
             folder,
@@ -787,16 +790,15 @@ class Prediction(_Solved, Trial):
     def rmsd(self, measured: Trial) -> dict:
         """RMS differences from the measured trial; see `audit.rmsd`.
 
-        Its encoders are shifted by the lag found.
+        Its readings are shifted by the lags found.
         """
         return audit.rmsd(self, self.timed(measured))
 
     def timed(self, measured: Trial) -> Trial:
-        """The measured trial, its encoders shifted by the lag found."""
+        """The measured trial, its readings shifted by the lags found."""
         check_type(measured, Trial, "measured")
-        own = [c for c in self.clocks if c.trial == measured.name]
-        is_timed = "encoders" in measured.lags_s
-        return retimed(measured, own) if is_timed else measured
+        own = of_trial(measured, self.clocks) if measured.lags_s else []
+        return retimed(measured, own)
 
     def audit(self) -> Audit:
         """Residuals between its nodes and in a simulation."""
@@ -957,13 +959,41 @@ def calibrate_interaction(
         contact = calibrate_foot_ground(study, trials)
     ground = study.worn(contact)
 
-    def pose(refined):
+    title = "calibrate interaction"
+    half = _coarser(study.interaction)
+
+    def timing(trials, solved):
         return InteractionCalibration(
-            study.model, trials, ground, study.interaction, refined=refined
+            study.model, trials, ground, half, solved=solved
         )
 
-    result = solve(pose, "calibrate interaction", folder, resume)
+    timed, clocks = settle(trials, timing, f"{title}, clocks")
+    if timed is not None and timed.solution.was_stopped:
+        return Calibration("interaction", copy(study), timed)
+    on_time = [retimed(t, of_trial(t, clocks)) for t in trials]
+    near = timed if clocks else None
+
+    def pose(refined):
+        return InteractionCalibration(
+            study.model,
+            on_time,
+            ground,
+            study.interaction,
+            refined=refined,
+            solved=() if near is None else near.trials,
+        )
+
+    result = solve(pose, title, folder, resume, near)
+    if timed is not None:
+        add_up(result.solution, timed.solution)
     return Calibration("interaction", copy(study), result)
+
+
+def _coarser(settings: InteractionSettings) -> InteractionSettings:
+    """The same with half as fine a grid, which suffices for lags."""
+    solver = settings.solver
+    half = max(0.5 * solver.nodes_per_second, FEWEST_NODES)
+    return replace(settings, solver=replace(solver, nodes_per_second=half))
 
 
 def find_clocks(
@@ -1004,24 +1034,17 @@ def _timing(
     """Solve a trial with calibrated cuffs, for its clocks; see `find_clocks`.
 
     The result is None if clocks cannot be found, the list empty if the solve
-    failed. Half as fine a grid suffices for lags.
+    failed.
     """
     timed = "encoders" in trial.lags_s and has_encoders(trial)
     if contact.posterior is None or not timed:
         return None, []
-    solver = study.interaction.solver
-    half = replace(solver, nodes_per_second=0.5 * solver.nodes_per_second)
-    settings = replace(study.interaction, solver=half)
-    result = None
-    for _ in range(2):  # again, since signals are shifted to first order only
-        problem = Timing(study.model, [trial], contact, settings)
-        watch = SolveWatch(f"time {trial.name}")
-        result = problem.solve(on_iterate=watch, near=result)
-        if not result.success:
-            return result, []
-        found = clocks_of([trial], posterior(result))
-        trial = retimed(trial, found)
-    return result, found
+    settings = _coarser(study.interaction)
+
+    def pose(trials, solved):
+        return Timing(study.model, trials, contact, settings, solved)
+
+    return settle([trial], pose, f"time {trial.name}")
 
 
 def predict(
@@ -1083,7 +1106,7 @@ def predict(
             return _prediction(timing)
     for clock in clocks:
         check_type(clock, Clock, "clocks")
-    own = tuple(c for c in clocks if c.trial == trial.name)
+    own = tuple(of_trial(trial, clocks))
     trial = retimed(trial, own)
     scaled = known.scaled(scale_interaction)
     if scaled.posterior is not None:

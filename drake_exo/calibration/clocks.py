@@ -9,14 +9,19 @@ certain a lag is becomes one of a phase's checks (`files.output.Verdict`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from drake_exo.calibration.audit import Audit
-from drake_exo.calibration.error_model import CLOCKS, shared_moments
+from drake_exo.calibration.error_model import (
+    CLOCKS,
+    shared_moments,
+    shifts,
+)
 from drake_exo.calibration.phases import InteractionCalibration
 from drake_exo.calibration.problem import (
     PhaseProblem,
@@ -24,7 +29,12 @@ from drake_exo.calibration.problem import (
     has_encoders,
 )
 from drake_exo.calibration.settings import InteractionSettings
-from drake_exo.calibration.uncertainty import DISCREPANCY, QUANTILE_95
+from drake_exo.calibration.solving import SolveWatch, add_up
+from drake_exo.calibration.uncertainty import (
+    DISCREPANCY,
+    QUANTILE_95,
+    posterior,
+)
 from drake_exo.contact.parameters import ContactModel, Posterior
 from drake_exo.files.output import SOLVED, Check
 from drake_exo.measurement.trial import Trial
@@ -33,13 +43,10 @@ from drake_exo.model.plant import Model
 # A clock is sure if its lag is known to within this [s] (95 %): angles of a
 # device that turns by 100 degrees a second are then known to a degree.
 LARGEST_DOUBT_S = 0.01
-# Lags are estimated to first order: 80 ms come out as 55 to 68 in rises. Above
-# this [s] an estimate counts as rough,
-_FIRST_ORDER_S = 0.05
-# and above this [rad] at the rate at which the signal changes: in walks with
-# rates of 50 rad/s, mats 29 to 37 ms early come out as 17 to 19.
-_FIRST_ORDER_RAD = 0.5
-_GIVEN = {"encoders": "encoder_delay_s", "pressure": "pressure_delay_s"}
+_PASSES = 6  # at most, to find lags
+# Lags stay if they change by less than this share of their interval, or than
+# this [s].
+_SETTLED, _SETTLED_S = 0.5, 1e-3
 _ORIGIN_M = 1e-3  # standard deviation of a cuff's place from trial to trial
 
 
@@ -118,42 +125,119 @@ def left(trial: Trial, own: Sequence[Clock]) -> Posterior:
 
 
 def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
-    """A recorded trial with its encoders shifted by the lag that was found.
+    """A recorded trial with its readings shifted by the lags that were found.
 
-    The error model shifts signals to first order only: too rough for tens of
-    milliseconds if a torque sets in within a tenth of a second. The splines
-    extrapolate at the ends: in the virtual laboratory angles there are off by
-    at most 0.1 degrees for 40 ms (2 degrees for 100 ms); held constant, by 2.6.
+    Readings are interpolated, from before and after the trial, too, as far as
+    `Trial.around` knows them; beyond, the splines extrapolate.
     """
-    lags = {c.system: c.lag_s for c in own if c.system == "encoders"}
-    if not lags:
+    late = {c.system: c.lag_s - trial.lags_s.get(c.system, 0.0) for c in own}
+    if not late:
         return trial
-    late = lags["encoders"] - trial.lags_s.get("encoders", 0.0)
-    names, device = trial.coordinates, trial.coordinates.device_columns
+    wide = trial if trial.around is None else trial.around
+    at, before = trial.times + trial.start_s - wide.start_s, shifts(trial)
+    after = before | {k: before.get(k, 0.0) + x for k, x in late.items()}
 
-    def shown(x: np.ndarray) -> np.ndarray:
-        return CubicSpline(trial.times, x)(trial.times + late)
+    def moved(x: np.ndarray, system: str) -> np.ndarray:
+        """Change of a reading, given in `wide`, by its shift."""
+        spline = CubicSpline(wide.times, x)
+        shifted, old = (at + k.get(system, 0.0) for k in (after, before))
+        return spline(shifted) - spline(old)
 
-    motion = {k: getattr(trial, k).copy() for k in ("q", "v", "a")}
-    for x in motion.values() if has_encoders(trial) else ():
-        x[:, device] = shown(x[:, device])
-    moments, friction = trial.moments, trial.friction
-    if moments is not None:
-        exo = trial.device_moments
-        moments = moments + shared_moments(names, shown(exo) - exo)
+    changed: dict[str, Any] = {}
+    if "encoders" in late:
+        names, device = trial.coordinates, trial.coordinates.device_columns
+        if has_encoders(trial):
+            for name in ("q", "v", "a"):
+                x = changed[name] = getattr(trial, name).copy()
+                x[:, device] += moved(
+                    getattr(wide, name)[:, device], "encoders"
+                )
+        if trial.moments is not None:
+            change = moved(wide.device_moments, "encoders")
+            own_moments = shared_moments(names, change)
+            changed["moments"] = trial.moments + own_moments
+        if trial.friction is not None:
+            change = moved(wide.friction, "encoders")
+            changed["friction"] = trial.friction + change
+    if "pressure" in late:
+        changed["cuffs"] = {
+            cuff: replace(
+                force,
+                normal=force.normal
+                + moved(wide.cuffs[cuff].normal, "pressure"),
+            )
+            for cuff, force in trial.cuffs.items()
+        }
     words = dict(trial.provenance.get("clocks", {}))
     for clock in own:
         if clock.system in words:
             doubt = "" if clock.sure else ", unsure"
             words[clock.system] = clock.sentence + doubt
-    said = {"delays_s": trial.lags_s | lags, "clocks": words}
-    return replace(
-        trial,
-        **motion,
-        moments=moments,
-        friction=None if friction is None else shown(friction),
-        provenance=trial.provenance | said,
-    )
+    said = {
+        "delays_s": trial.lags_s | {c.system: c.lag_s for c in own},
+        "shifted_s": after,
+        "clocks": words,
+    }
+    provenance = trial.provenance | said
+    return replace(trial, **changed, provenance=provenance, around=wide)
+
+
+def _recorded(trials: Iterable[Trial]) -> set[str]:
+    """Names of the clocks of recorded systems."""
+    return {
+        f"{trial.name}.{CLOCKS[system]}"
+        for trial in trials
+        for system in trial.lags_s
+        if system in CLOCKS
+    }
+
+
+def of_trial(trial: Trial, clocks: Iterable[Clock]) -> list[Clock]:
+    """Those of some clocks that are the trial's."""
+    return [c for c in clocks if c.trial == trial.name]
+
+
+def settle(
+    trials: Sequence[Trial],
+    pose: Callable[[Sequence[Trial], Sequence[Trial]], PhaseProblem],
+    title: str,
+) -> tuple[PhaseResult | None, list[Clock]]:
+    """Find the clocks of trials by solving them again and again.
+
+    The error model shifts readings to first order, by rates that hold their
+    noise. So trials are solved with readings as recorded, and then on the
+    clocks found, with the solution's rates, until the lags stay.
+
+    Args:
+        trials: as recorded.
+        pose: makes the phase from trials and, if any, solutions of them.
+        title: beginning of every line of progress.
+
+    Returns:
+        The last result, None if no clock is unknown; and the clocks, none if
+        it failed.
+    """
+    result, found = None, []
+    for _ in range(_PASSES):
+        now = [retimed(t, of_trial(t, found)) for t in trials]
+        problem = pose(now, () if result is None else result.trials)
+        if not _recorded(trials) & set(problem.errors.names):
+            return None, []
+        again = problem.solve(on_iterate=SolveWatch(title), near=result)
+        if result is not None:
+            add_up(again.solution, result.solution)
+        result = again
+        if not result.success:
+            return result, []
+        lags = {t.name: t.lags_s for t in now}
+        found = clocks_of(now, posterior(result))
+        if problem.errors.has_rates and all(
+            abs(c.lag_s - lags[c.trial][c.system])
+            < max(_SETTLED * c.half_width_s, _SETTLED_S)
+            for c in found
+        ):
+            break
+    return result, found
 
 
 class Timing(InteractionCalibration):
@@ -167,6 +251,7 @@ class Timing(InteractionCalibration):
         trials: measured.
         contact: calibrated, with its posterior.
         settings: Phase B's.
+        solved: solutions of the trials, see `ErrorModel`.
     """
 
     def __init__(
@@ -175,6 +260,7 @@ class Timing(InteractionCalibration):
         trials: Sequence[Trial],
         contact: ContactModel,
         settings: InteractionSettings,
+        solved: Sequence[Trial] = (),
     ):
         values = contact.values()
         # Slip stays as calibrated: a single trial may not slip at all.
@@ -202,6 +288,7 @@ class Timing(InteractionCalibration):
             parameters,
             settings,
             settings.errors,
+            solved=solved,
         )
 
     def _prior(self) -> tuple[list[str], np.ndarray, np.ndarray]:
@@ -276,7 +363,7 @@ def clock_checks(
     made = []
     for trial in trials:
         said = trial.provenance.get("clocks", {})
-        for system, lag in trial.lags_s.items():
+        for system in trial.lags_s:
             clock, doubt = known.get((trial.name, system)), (None, None, "")
             if clock is not None:
                 sure, text = clock.sure, clock.sentence
@@ -287,32 +374,4 @@ def clock_checks(
                 continue
             where = f"{trial.name}, {system}"
             made.append(Check("clocks", sure, *doubt, where, text, "note"))
-            if clock is None:
-                continue
-            off, limit = abs(clock.lag_s - lag), _FIRST_ORDER_S
-            if clock.sure:
-                limit = min(limit, _FIRST_ORDER_RAD / _rate(trial, system))
-            if off > limit:
-                far = 1e3 * off, 1e3 * limit, "ms"
-                text += (
-                    ", too far off for more than a rough value: set "
-                    f"{_GIVEN[system]} of this trial to it, and run again"
-                )
-                made.append(Check("clocks", False, *far, where, text, "note"))
     return made
-
-
-def _rate(trial: Trial, system: str) -> float:
-    """How fast a system's signals change [rad/s].
-
-    That of a sine is its angular frequency.
-    """
-    if system == "encoders":
-        device = trial.coordinates.device_columns
-        rate, change = trial.v[:, device], trial.a[:, device]
-    else:
-        force = np.stack([c.normal for c in trial.cuffs.values()], axis=1)
-        rate = np.gradient(force, trial.times, axis=0)
-        change = np.gradient(rate, trial.times, axis=0)
-    # Signals at rest change at no rate.
-    return max(np.linalg.norm(change), 1e-9) / max(np.linalg.norm(rate), 1e-9)

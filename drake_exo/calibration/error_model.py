@@ -72,14 +72,16 @@ class Unknown:
     Attributes:
         name: such as "skin.thigh.knee"; with `trial`, begins with its name.
         unit: unit of the size.
-        sd: standard deviation of its prior, whose mean is 0.
+        sd: standard deviation of its prior.
         trial: the trial it belongs to; None if all share it.
+        mean: mean of its prior.
     """
 
     name: str
     unit: str
     sd: float
     trial: str | None = None
+    mean: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,9 @@ class ErrorModel:
         trials: measured.
         sizes: standard deviations of the priors.
         known: posterior of a calibration, prior of errors that trials share.
+        solved: solutions of the trials, or of some. They tell at what rates
+            readings change without their noise, with which a lag would seem
+            too short and too sure.
 
     Attributes:
         unknowns: all unknowns, in the order of effects' last axis.
@@ -117,8 +122,10 @@ class ErrorModel:
         trials: Sequence[Trial],
         sizes: ErrorSizes,
         known: Posterior | None = None,
+        solved: Sequence[Trial] = (),
     ):
         self._known = known
+        self._solved = {trial.name: trial for trial in solved}
         self._model = model
         names = model.coordinates
         found = [
@@ -144,12 +151,24 @@ class ErrorModel:
             clocks = {"encoders": sizes.encoder_clock_s}
             if trial.cuffs:
                 clocks["pressure"] = sizes.mat_clock_s
+            gone = shifts(trial)
             found += [
-                Unknown(f"{trial.name}.{CLOCKS[system]}", "s", sd, trial.name)
+                Unknown(
+                    f"{trial.name}.{CLOCKS[system]}",
+                    "s",
+                    sd,
+                    trial.name,
+                    -gone.get(system, 0.0),
+                )
                 for system, sd in clocks.items()
                 if _is_unknown(trial, system)
             ]
         self.unknowns = [u for u in found if u.sd > 0.0] if names.device else []
+
+    @property
+    def has_rates(self) -> bool:
+        """Whether rates of readings are told by solutions."""
+        return bool(self._solved)
 
     @property
     def names(self) -> list[str]:
@@ -158,7 +177,7 @@ class ErrorModel:
 
     def prior(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean (m,) and covariance (m, m) of the unknowns."""
-        mean = np.zeros(len(self.unknowns))
+        mean = np.array([u.mean for u in self.unknowns])
         covariance = np.diag([u.sd**2 for u in self.unknowns])
         known = [] if self._known is None else self._known.names
         i = [k for k, name in enumerate(self.names) if name in known]
@@ -175,6 +194,8 @@ class ErrorModel:
         moments = np.zeros((n, names.num_joints, m))
         normal = {cuff: np.zeros((n, m)) for cuff in at.cuffs}
         device = names.device_columns
+        near = self._solved.get(at.name)
+        near = at if near is None else near.sample(at.times)
         moved, human = _moved(self._model), names.columns(names.human)
         alone = self._model.tree.turned_alone(moved, human)
         turns = dict(zip(moved, alone, strict=True))
@@ -206,15 +227,16 @@ class ErrorModel:
                     f = at.cuffs[cuff].normal
                     normal[cuff][:, k] = -f if what == "unseen" else 1.0
             elif kind == "encoder_clock":
-                q[:, device, k] = -at.v[:, device]
-                v[:, device, k] = -at.a[:, device]
+                q[:, device, k] = -near.v[:, device]
+                v[:, device, k] = -near.a[:, device]
                 # Recorded with the angles or computed from them: same lag.
                 if at.moments is not None:
-                    rates = np.gradient(at.device_moments, at.times, axis=0)
+                    rates = np.gradient(near.device_moments, at.times, axis=0)
                     moments[:, :, k] = shared_moments(names, -rates)
             else:
-                for cuff, force in at.cuffs.items():
-                    normal[cuff][:, k] = -np.gradient(force.normal, at.times)
+                for cuff in at.cuffs:
+                    force = near.cuffs[cuff].normal
+                    normal[cuff][:, k] = -np.gradient(force, at.times)
         return Effects(q, v, moments, normal)
 
     def _moments(self, at: Trial, q, v, a, k) -> np.ndarray:
@@ -236,6 +258,11 @@ class ErrorModel:
         found = np.zeros((len(at.times), names.num_joints))
         found[:, ~names.is_device_joint] = change / (2.0 * _DIFFERENCE)
         return found
+
+
+def shifts(trial: Trial) -> dict[str, float]:
+    """System -> lag [s] found since reading, by which readings are shifted."""
+    return trial.provenance.get("shifted_s", {})
 
 
 def _is_unknown(trial: Trial, system: str) -> bool:

@@ -184,6 +184,7 @@ class InteractionCalibration(PhaseProblem):
         contact: calibrated for foot and ground; its bushings are not used.
         settings: noise, bounds, grid.
         refined: finer intervals, see `PhaseProblem`.
+        solved: solutions of the trials, see `ErrorModel`.
 
     Raises:
         InputError: the model has no cuffs.
@@ -203,6 +204,7 @@ class InteractionCalibration(PhaseProblem):
         settings: InteractionSettings | None = None,
         *,
         refined: Mapping[str, Parts] | None = None,
+        solved: Sequence[Trial] = (),
     ):
         check_type(model, Model, "model")
         check_has_cuffs(model)
@@ -221,6 +223,7 @@ class InteractionCalibration(PhaseProblem):
             settings,
             settings.errors,
             refined=refined,
+            solved=solved,
         )
 
     def _terms(self, movement, at, effects):

@@ -198,6 +198,7 @@ class PhaseProblem(Compiles, ABC):
             settings' grid is split, or one number for all; in these trials
             jerk that alternates from node to node is damped.
         program: program to add to; a new one by default.
+        solved: see `ErrorModel`.
 
     Attributes:
         program: `program.prog` is a MathematicalProgram that may be added to
@@ -223,6 +224,7 @@ class PhaseProblem(Compiles, ABC):
         errors: ErrorSizes | None = None,
         refined: Mapping[str, Parts] | None = None,
         program: BatchedProgram | None = None,
+        solved: Sequence[Trial] = (),
     ):
         start = time.perf_counter()
         self.model = model
@@ -253,7 +255,7 @@ class PhaseProblem(Compiles, ABC):
             for cuff, bushing in contact.bushings.items()
         }
         self.errors = errors and ErrorModel(
-            model, self.trials, errors, contact.posterior
+            model, self.trials, errors, contact.posterior, solved
         )
         self.program = program or BatchedProgram()
         self._add_parameters()

@@ -125,7 +125,7 @@ def solve(
         again = problem.solve(
             on_iterate=SolveWatch(f"{title}, {nodes} nodes"), near=result
         )
-        _add_up(again.solution, result.solution)
+        add_up(again.solution, result.solution)
         if again.solution.was_stopped:
             return again
         if not again.success:
@@ -139,7 +139,7 @@ def forget(folder: str | Path) -> None:
     (Path(folder) / CHECKPOINT).unlink(missing_ok=True)
 
 
-def _add_up(solution: Solution, before: Solution) -> None:
+def add_up(solution: Solution, before: Solution) -> None:
     """Add iterations and seconds of the solve that this one started from."""
     solution.iterations += before.iterations
     for part, seconds in before.seconds.items():

@@ -72,6 +72,9 @@ from drake_exo.model.plant import Model
 
 # Leaps from here on are noted; a heel strike changes a velocity by 2 m/s.
 LEAST_LEAP_M_S = 4.0
+# Lags of clocks are some tens of milliseconds; a trial knows its instruments'
+# readings for this long before and after, too [s].
+_AROUND_S = 0.1
 # Most passes of the search for the plates' lag, and the change that ends it.
 _CLOCK_PASSES, _SETTLED_S = 5, 1.5e-3
 
@@ -574,6 +577,49 @@ def cut(
             f"period of what the filter leaves ({settings.filter.cutoff_hz:g} "
             "Hz); give a longer part by start_s and end_s"
         )
+    trial = _part(files, recording, subject, settings, inside)
+    check_loaded(
+        recording.forces.source,
+        trial.ground,
+        subject.model.rigid.tree.weight,
+        f"trial {files.name}, {start:g} to {end:g} s",
+    )
+    around = None
+    if subject.model.coordinates.device:
+        wide = _around(recording, inside)
+        around = _part(files, recording, subject, settings, wide)
+    provenance = trial.provenance | {"part": how}
+    return replace(trial, provenance=provenance, around=around)
+
+
+def _around(recording: Recording, inside: np.ndarray) -> np.ndarray:
+    """Frames (N,) of a part and shortly before and after it, all recorded."""
+    motion = recording.motion
+    time, seen = motion.time, motion.known
+    first, last = np.flatnonzero(inside)[[0, -1]]
+    ends = [(time[first] - _AROUND_S, time[last] + _AROUND_S)]
+    for signal in (recording.angles, recording.moments, *recording.mats):
+        if signal is not None:
+            ends.append((signal.time[0], signal.time[-1]))
+    for start, end in ends:
+        seen = seen & between(time, start, end)
+    missing = np.flatnonzero(~seen)
+    before, after = missing[missing < first], missing[missing > last]
+    frames = np.arange(len(time))
+    return (frames > before.max(initial=-1)) & (
+        frames < after.min(initial=len(time))
+    )
+
+
+def _part(
+    files: TrialFiles,
+    recording: Recording,
+    subject: SubjectModel,
+    settings: RecordingSettings,
+    inside: np.ndarray,
+) -> Trial:
+    """The frames `inside` (N,) of a recording as a trial."""
+    motion = recording.motion
     # Start at the origin: a belt runs so far in minutes that digits get lost.
     ahead = recording.belt_speed_m_s * float(motion.time[inside][0])
 
@@ -586,12 +632,6 @@ def cut(
     else:
         places = {side: p[inside] for side, p in motion.ankles.items()}
         (wrench, shifts), feet = merge_plates(feet, places), {}
-    check_loaded(
-        recording.forces.source,
-        wrench,
-        subject.model.rigid.tree.weight,
-        f"trial {files.name}, {start:g} to {end:g} s",
-    )
     time = motion.time[inside]
     (q, v, a), exo = _coordinates(files, recording, inside, subject.model)
     q[:, subject.model.coordinates.root_columns[0]] -= ahead
@@ -617,7 +657,6 @@ def cut(
     )
     provenance = {
         **_provenance(files, recording, subject, settings),
-        "part": how,
         "marker_residual_rms_m": residual_rms(
             {name: x[inside] for name, x in motion.residuals_m.items()}
         ),

@@ -1,5 +1,7 @@
 """A trial: one movement, measured, solved or simulated, on one time base."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -41,7 +43,7 @@ class CuffForce:
                 object.__setattr__(self, name, fixed(given))
 
     @staticmethod
-    def of(components: np.ndarray) -> "CuffForce":
+    def of(components: np.ndarray) -> CuffForce:
         """From tangential, normal, rotational components (n, 3)."""
         tangential, normal, moment = components.T
         return CuffForce(normal, tangential, moment)
@@ -101,6 +103,8 @@ class Trial:
         mass_kg: body mass without the exoskeleton; None where not known.
         start_s: time of the first sample in the recording [s].
         provenance: files, filters, and what was shifted or doubled.
+        around: what the device's instruments showed from shortly before until
+            shortly after this trial, too, as a trial; None where not known.
 
     >>> import numpy as np
     >>> names = Coordinates(("foot_x", "foot_z", "foot_pitch", "ankle"))
@@ -132,6 +136,7 @@ class Trial:
     mass_kg: float | None = None
     start_s: float = 0.0
     provenance: dict[str, Any] = field(default_factory=dict)
+    around: Trial | None = None
 
     def __post_init__(self):
         for name in ("times", "q", "v", "a", "moments", "friction", "jerk"):
@@ -148,10 +153,16 @@ class Trial:
         parts = {"coordinates": self.coordinates, "ground": self.ground}
         if self.chair is not None:
             parts["chair"] = self.chair
+        if self.around is not None:
+            parts["around"] = self.around
         for group in ("feet", "applied", "cuffs"):
             own = getattr(self, group)
             parts |= {f"{group}.{key}": part for key, part in own.items()}
-        kinds = {"coordinates": Coordinates, "cuffs": CuffForce}
+        kinds = {
+            "coordinates": Coordinates,
+            "cuffs": CuffForce,
+            "around": Trial,
+        }
         for name, part in parts.items():
             kind = kinds.get(name.partition(".")[0], PlanarWrench)
             check_type(part, kind, f"trial {self.name}: {name}")
@@ -316,7 +327,7 @@ class Trial:
         """Wrench (n,) of the ground by foot: "left" and "right", or "both"."""
         return self.feet or {"both": self.ground}
 
-    def sample(self, times: np.ndarray) -> "Trial":
+    def sample(self, times: np.ndarray) -> Trial:
         """The same movement at other times (m,) [s], by cubic splines.
 
         Raises:
@@ -339,7 +350,8 @@ class Trial:
             for name, x in self._arrays().items()
             if name != "jerk"
         }
-        return replace(self, times=times, jerk=None, **_fields(arrays))
+        kept = {"times": times, "jerk": None, "around": None}
+        return replace(self, **kept, **_fields(arrays))
 
     def _arrays(self) -> dict[str, np.ndarray]:
         """Name -> array, of all arrays that are set, except times."""
@@ -386,7 +398,7 @@ class Trial:
         )
 
     @staticmethod
-    def load(path: str | Path) -> "Trial":
+    def load(path: str | Path) -> Trial:
         """Read what `save` wrote.
 
         Raises:

@@ -739,6 +739,7 @@ def test_in_python_nothing_is_solved_without_a_warning(folder, monkeypatch):
     (trial,), contact = made.trials(), nominal_contact(made.model)
     for name in ("solve", "_prediction"):
         monkeypatch.setattr(f"drake_exo.study.{name}", lambda *_: None)
+    monkeypatch.setattr("drake_exo.study.settle", lambda *_: (None, []))
     monkeypatch.setattr("drake_exo.designing.movements", None)
 
     def design():

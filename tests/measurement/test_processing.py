@@ -12,6 +12,7 @@ from synthetic_recording import (
     write_recording,
 )
 
+from drake_exo.calibration.clocks import Clock, retimed
 from drake_exo.errors import InputError
 from drake_exo.files.c3d import write_c3d
 from drake_exo.files.opensim import (
@@ -248,6 +249,54 @@ def test_a_trial_may_have_a_lag_of_its_own(coupled, own, lag):
     assert trial.lags_s["encoders"] == lag
     ankle = np.deg2rad(20.0) * (1.0 - np.cos(time_of(trial) + lag))
     np.testing.assert_allclose(trial.q[:, 6], ankle, atol=2e-7)
+
+
+@pytest.mark.parametrize("lag", [-0.06, 0.0234, 0.15])
+def test_a_trial_goes_on_another_clock_as_if_read_again(coupled, lag):
+    """Up to its ends: it knows what was shown before and after, too."""
+    folder, study = coupled
+    study = replace(study, trials=study.trials[:1])
+    _, (trial,) = load(study, folder)
+    reach = trial.around.times - trial.around.times[0]
+    assert reach[-1] == pytest.approx(trial.duration + 0.2)
+    assert trial.around.start_s == pytest.approx(trial.start_s - 0.1)
+    late = replace(study.laboratory, encoder_delay_s=lag)
+    _, (again,) = load(replace(study, laboratory=late), folder)
+    clocks = [Clock(trial.name, "encoders", lag, 0.004)]
+    # Beyond 0.1 s the splines extrapolate.
+    near = 1e-9 if abs(lag) <= 0.1 else 2e-4
+    found = retimed(trial, clocks)
+    np.testing.assert_allclose(found.q, again.q, atol=near)
+    np.testing.assert_allclose(found.v, again.v, atol=50.0 * near)
+    # From the readings, not from what was shifted before; and once more.
+    first = retimed(trial, [Clock(trial.name, "encoders", -0.05, 0.004)])
+    np.testing.assert_allclose(retimed(first, clocks).q, found.q, atol=1e-12)
+    assert retimed(first, clocks).lags_s == found.lags_s
+    # What somebody changed of the trial stays changed.
+    other = replace(trial, q=trial.q + 0.01)
+    np.testing.assert_allclose(retimed(other, clocks).q, found.q + 0.01)
+
+
+def test_what_is_around_a_trial_was_recorded(coupled):
+    folder, study = coupled
+    (files, *_), (start, end) = study.trials, (1.5, 3.0)
+    files = replace(files, rise=None, start_s=start, end_s=end)
+    table = read_table(folder / "exo.mot")
+    for first, last in ((1.0, 3.5), (1.45, 3.03)):
+        seen = (table.time >= first - 1e-9) & (table.time <= last + 1e-9)
+        write_table(
+            folder / "exo.mot",
+            Table(table.time[seen], table.names, table.values[seen], True),
+        )
+        _, (trial,) = load(replace(study, trials=(files,)), folder)
+        wide = trial.around
+        ends = wide.start_s, wide.start_s + wide.duration
+        wanted = max(first, start - 0.1), min(last, end + 0.1)
+        assert ends == pytest.approx(wanted, abs=0.011)
+    # Of people without a device nothing is shifted.
+    human = replace(files, encoders=None)
+    _, (alone,) = load(replace(study, model="human", trials=(human,)), folder)
+    assert alone.around is None
 
 
 def test_without_encoders_the_exoskeleton_is_aligned(coupled):
