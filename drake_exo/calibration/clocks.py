@@ -133,8 +133,8 @@ def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
     late = {c.system: c.lag_s - trial.lags_s.get(c.system, 0.0) for c in own}
     if not late:
         return trial
-    wide = trial if trial.around is None else trial.around
-    at, before = trial.times + trial.start_s - wide.start_s, shifts(trial)
+    wide, before = trial.readings, shifts(trial)
+    at = trial.times + trial.start_s - wide.start_s
     after = before | {k: before.get(k, 0.0) + x for k, x in late.items()}
 
     def moved(x: np.ndarray, system: str) -> np.ndarray:

@@ -286,6 +286,13 @@ class Trial:
         return self.provenance.get("delays_s", {})
 
     @property
+    def readings(self) -> Trial:
+        """`around` if it holds all that this trial does, else the trial."""
+        wide, own = self.around, self._arrays().keys()
+        is_known = wide is not None and own <= wide._arrays().keys()
+        return wide if is_known else self
+
+    @property
     def chair_shares(self) -> dict[str, float]:
         """Segment -> share of the chair's wrench; {} without a chair."""
         # A wrench that is always zero is no chair; leaving it out saves time.

@@ -275,6 +275,10 @@ def test_a_trial_goes_on_another_clock_as_if_read_again(coupled, lag):
     # What somebody changed of the trial stays changed.
     other = replace(trial, q=trial.q + 0.01)
     np.testing.assert_allclose(retimed(other, clocks).q, found.q + 0.01)
+    # What it got besides was not read around it.
+    known = replace(trial, moments=np.zeros((len(trial.times), 6)))
+    assert trial.readings is trial.around and known.readings is known
+    assert retimed(known, clocks).around is known
 
 
 def test_what_is_around_a_trial_was_recorded(coupled):
