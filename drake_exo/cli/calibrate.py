@@ -134,7 +134,7 @@ def run(args: argparse.Namespace) -> int:
                 study, out, args.resume, contact, checks, args.accept
             )
         folder.end(code)
-    print(f"results in {folder.path}")
+    print(f"results in {folder.path}{to_resume(code)}")
     return code
 
 
@@ -278,6 +278,11 @@ def _write(
 def told_stopped(stopped: bool, count: int) -> str:
     """Line to add to a front's table if the user stopped it, else ""."""
     return f"\nstopped by the user after {count} points" if stopped else ""
+
+
+def to_resume(code: int) -> str:
+    """What to add where results are told, if the user stopped the run."""
+    return "; --resume goes on from there" if code == STOPPED_CODE else ""
 
 
 def report_failure(

@@ -26,6 +26,7 @@ from drake_exo.cli.calibrate import (
     finished,
     inputs,
     report_failure,
+    to_resume,
 )
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import read_design
@@ -155,7 +156,7 @@ def run(args: argparse.Namespace) -> int:
             usual=usual,
         )
         folder.end(code)
-    print(f"results in {folder.path}")
+    print(f"results in {folder.path}{to_resume(code)}")
     return code
 
 

@@ -103,7 +103,7 @@ def test_springs_tell_predictions_apart():
 
 @pytest.mark.slow
 def test_ctrl_c_between_solves_keeps_what_is_finished(
-    command, calibrated, tmp_path, monkeypatch
+    command, calibrated, tmp_path, monkeypatch, capsys
 ):
     """While the second trial is audited, no solver hears it."""
     audits = iter([Prediction.audit])
@@ -118,6 +118,8 @@ def test_ctrl_c_between_solves_keeps_what_is_finished(
     more = ["--calibration", str(calibrated), "--out", str(out)]
     with undrawn():
         assert main([*command("predict"), *more]) == 130
+    told = f"results in {out}; --resume goes on from there\n"
+    assert capsys.readouterr().out.endswith(told)
     found = json.loads((out / "summary.json").read_text("utf-8"))
     assert found["success"] is False and found["verdict"] == "not solved"
     assert [row["trial"] for row in found["rmsd"]] == ["rise4"]
