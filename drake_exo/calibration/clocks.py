@@ -133,15 +133,15 @@ def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
     late = {c.system: c.lag_s - trial.lags_s.get(c.system, 0.0) for c in own}
     if not late:
         return trial
-    wide, before = trial.readings, shifts(trial)
+    wide, gone = trial.readings, shifts(trial)
     at = trial.times + trial.start_s - wide.start_s
-    after = before | {k: before.get(k, 0.0) + x for k, x in late.items()}
 
     def moved(x: np.ndarray, system: str) -> np.ndarray:
         """Change of a reading, given in `wide`, by its shift."""
+        # `wide` may have been shifted as well, as if it is the trial itself.
+        old = at + gone.get(system, 0.0) - shifts(wide).get(system, 0.0)
         spline = CubicSpline(wide.times, x)
-        shifted, old = (at + k.get(system, 0.0) for k in (after, before))
-        return spline(shifted) - spline(old)
+        return spline(old + late[system]) - spline(old)
 
     changed: dict[str, Any] = {}
     if "encoders" in late:
@@ -175,7 +175,7 @@ def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
             words[clock.system] = clock.sentence + doubt
     said = {
         "delays_s": trial.lags_s | {c.system: c.lag_s for c in own},
-        "shifted_s": after,
+        "shifted_s": gone | {k: gone.get(k, 0.0) + x for k, x in late.items()},
         "clocks": words,
     }
     provenance = trial.provenance | said

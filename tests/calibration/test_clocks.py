@@ -27,7 +27,7 @@ from drake_exo.calibration.uncertainty import QUANTILE_95
 from drake_exo.contact.parameters import Posterior
 from drake_exo.contact.reduction import SoleLaw, SoleSphere
 from drake_exo.files.output import Verdict
-from drake_exo.measurement.trial import CuffForce
+from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.report.gathering import clocks_table
 from drake_exo.study import (
     Prediction,
@@ -139,6 +139,42 @@ def test_a_trial_goes_on_the_clock_that_was_found(in_device):
     own = [Clock(trial.name, "encoders", 0.03, 0.004)]
     np.testing.assert_allclose(retimed(bare, own).q, found.q)
     assert left(bare, own).values == pytest.approx([0.03])
+
+
+def test_a_trial_on_its_clock_goes_on_another_without_what_is_around_it(
+    in_device, tmp_path
+):
+    """Saved or resampled it has only its readings, which were shifted."""
+    trial = recorded(in_device.trials[0])
+    once, twice = (
+        [
+            Clock(trial.name, "encoders", encoders, 0.004),
+            Clock(trial.name, "pressure", mats, 0.004),
+        ]
+        for encoders, mats in ((0.03, -0.03), (0.05, 0.01))
+    )
+    on_time, expected = retimed(trial, once), retimed(trial, twice)
+    on_time.save(tmp_path / "once")
+    inside = slice(10, -10)
+    for shown in (
+        Trial.load(tmp_path / "once"),
+        on_time.sample(on_time.times),
+        replace(on_time, around=None),
+    ):
+        assert shown.around is None
+        again = retimed(shown, twice)
+        assert again.provenance["shifted_s"] == pytest.approx(
+            expected.provenance["shifted_s"]
+        )
+        np.testing.assert_allclose(
+            again.q[inside], expected.q[inside], atol=1e-4
+        )
+        for cuff, force in expected.cuffs.items():
+            own = again.cuffs[cuff].normal[inside]
+            np.testing.assert_allclose(own, force.normal[inside], atol=0.05)
+        # And once more: what is around it now is what it was.
+        back = retimed(again, once)
+        np.testing.assert_allclose(back.q, on_time.q, atol=1e-12)
 
 
 def test_moments_of_a_device_model_go_with_its_encoders(in_device):
