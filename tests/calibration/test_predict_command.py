@@ -101,6 +101,24 @@ def test_springs_tell_predictions_apart():
     assert again != found[1][0]
 
 
+def test_names_of_files_do_not_tell_runs_apart_but_clocks_do():
+    """`--resume` goes on after files were moved, with what is around, too."""
+    made = synthetic.rises_in_device(1, nodes_per_second=20)
+
+    def of(file, clocks):
+        said = {"markers": file, "delays_s": {"encoders": 0.0}}
+        said["clocks"] = clocks
+        (trial,) = made.trials
+        around = replace(trial, provenance=said)
+        trials = [replace(trial, provenance=said, around=around)]
+        study = Study(made.model, trials)
+        return inputs(study, "calibration", study.interaction)
+
+    unknown = {"encoders": "left to the calibration, unsure"}
+    assert of("a.c3d", unknown) == of("b/a.c3d", unknown)
+    assert of("a.c3d", unknown) != of("a.c3d", {})
+
+
 @pytest.mark.slow
 def test_ctrl_c_between_solves_keeps_what_is_finished(
     command, calibrated, tmp_path, monkeypatch, capsys
