@@ -47,6 +47,7 @@ _PASSES = 6  # at most, to find lags
 # Lags stay if they change by less than this share of their interval, or than
 # this [s].
 _SETTLED, _SETTLED_S = 0.5, 1e-3
+_GIVEN = {"encoders": "encoder_delay_s", "pressure": "pressure_delay_s"}
 _ORIGIN_M = 1e-3  # standard deviation of a cuff's place from trial to trial
 
 
@@ -356,14 +357,15 @@ def clock_checks(
     """Notes that say whether the lag of each clock is known.
 
     Args:
-        trials: recorded; their provenance speaks for a clock not in `found`.
+        trials: recorded, as they were solved; their provenance speaks for a
+            clock not in `found`.
         found: clocks that were estimated.
     """
     known = {(c.trial, c.system): c for c in found}
     made = []
     for trial in trials:
         said = trial.provenance.get("clocks", {})
-        for system in trial.lags_s:
+        for system, lag in trial.lags_s.items():
             clock, doubt = known.get((trial.name, system)), (None, None, "")
             if clock is not None:
                 sure, text = clock.sure, clock.sentence
@@ -374,4 +376,15 @@ def clock_checks(
                 continue
             where = f"{trial.name}, {system}"
             made.append(Check("clocks", sure, *doubt, where, text, "note"))
+            if clock is None:
+                continue
+            off = abs(clock.lag_s - lag)
+            if off > max(limit := clock.half_width_s, _SETTLED_S):
+                far = 1e3 * off, 1e3 * limit, "ms"
+                text += (
+                    f", but readings were shifted by {1e3 * lag:+.0f} ms: a "
+                    f"rough value; set {_GIVEN[system]} of this trial to it, "
+                    "and run again"
+                )
+                made.append(Check("clocks", False, *far, where, text, "note"))
     return made
