@@ -17,11 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from drake_exo.calibration.audit import Audit
-from drake_exo.calibration.error_model import (
-    CLOCKS,
-    shared_moments,
-    shifts,
-)
+from drake_exo.calibration.error_model import CLOCKS, shared_moments
 from drake_exo.calibration.phases import InteractionCalibration
 from drake_exo.calibration.problem import (
     PhaseProblem,
@@ -134,13 +130,13 @@ def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
     late = {c.system: c.lag_s - trial.lags_s.get(c.system, 0.0) for c in own}
     if not late:
         return trial
-    wide, gone = trial.readings, shifts(trial)
+    wide, gone = trial.readings, trial.shifts_s
     at = trial.times + trial.start_s - wide.start_s
 
     def moved(x: np.ndarray, system: str) -> np.ndarray:
         """Change of a reading, given in `wide`, by its shift."""
         # `wide` may have been shifted as well, as if it is the trial itself.
-        old = at + gone.get(system, 0.0) - shifts(wide).get(system, 0.0)
+        old = at + gone.get(system, 0.0) - wide.shifts_s.get(system, 0.0)
         spline = CubicSpline(wide.times, x)
         return spline(old + late[system]) - spline(old)
 
@@ -216,7 +212,7 @@ def settle(
 
     Returns:
         The last result, None if no clock is unknown; and the clocks, none if
-        it failed.
+        it failed, less sure if lags still move.
     """
     result, found = None, []
     for _ in range(_PASSES):
@@ -232,13 +228,17 @@ def settle(
             return result, []
         lags = {t.name: t.lags_s for t in now}
         found = clocks_of(now, posterior(result))
+        off = [abs(c.lag_s - lags[c.trial][c.system]) for c in found]
         if problem.errors.has_rates and all(
-            abs(c.lag_s - lags[c.trial][c.system])
-            < max(_SETTLED * c.half_width_s, _SETTLED_S)
-            for c in found
+            x < max(_SETTLED * c.half_width_s, _SETTLED_S)
+            for x, c in zip(off, found, strict=True)
         ):
-            break
-    return result, found
+            return result, found
+    # They may be as far off as they still move.
+    return result, [
+        replace(c, sd_s=float(np.hypot(c.sd_s, x)))
+        for x, c in zip(off, found, strict=True)
+    ]
 
 
 class Timing(InteractionCalibration):

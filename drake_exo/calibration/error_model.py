@@ -151,14 +151,13 @@ class ErrorModel:
             clocks = {"encoders": sizes.encoder_clock_s}
             if trial.cuffs:
                 clocks["pressure"] = sizes.mat_clock_s
-            gone = shifts(trial)
             found += [
                 Unknown(
                     f"{trial.name}.{CLOCKS[system]}",
                     "s",
                     sd,
                     trial.name,
-                    -gone.get(system, 0.0),
+                    -trial.shifts_s.get(system, 0.0),
                 )
                 for system, sd in clocks.items()
                 if _is_unknown(trial, system)
@@ -258,11 +257,6 @@ class ErrorModel:
         found = np.zeros((len(at.times), names.num_joints))
         found[:, ~names.is_device_joint] = change / (2.0 * _DIFFERENCE)
         return found
-
-
-def shifts(trial: Trial) -> dict[str, float]:
-    """System -> lag [s] found since reading, by which readings are shifted."""
-    return trial.provenance.get("shifted_s", {})
 
 
 def _is_unknown(trial: Trial, system: str) -> bool:

@@ -35,7 +35,6 @@ from drake_exo.files.output import (
 )
 from drake_exo.measurement.exoskeleton import spring_stiffness
 from drake_exo.measurement.settings import Use
-from drake_exo.measurement.trial import Trial
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.figures import front_figure
 from drake_exo.report.gathering import (
@@ -208,7 +207,7 @@ def inputs(study: Study, use: Use, settings, contact=None, **more) -> str:
     """
     trials = study.trials(use)
     clocks = [(t.lags_s, [*t.provenance.get("clocks", ())]) for t in trials]
-    trials = [_bare(t) for t in trials]
+    trials = [replace(t, provenance={}) for t in trials]
     known = contact and [contact.values(), contact.posterior]
     said = [study.foot_ground, settings]
     if use == "prediction":
@@ -216,12 +215,6 @@ def inputs(study: Study, use: Use, settings, contact=None, **more) -> str:
         said += [study.interaction, springs]
     who = study.name, study.model, study.sole
     return checksum([use, who, said, trials, clocks, known, more])
-
-
-def _bare(trial: Trial) -> Trial:
-    """A trial without names of files and whatever else its provenance says."""
-    around = trial.around and _bare(trial.around)
-    return replace(trial, provenance={}, around=around)
 
 
 def finished(folder: Path, of: str, points: int = 0) -> Verdict | None:

@@ -588,6 +588,7 @@ def cut(
     if subject.model.coordinates.device:
         wide = _around(recording, inside)
         around = _part(files, recording, subject, settings, wide)
+        around = replace(around, provenance={})
     provenance = trial.provenance | {"part": how}
     return replace(trial, provenance=provenance, around=around)
 

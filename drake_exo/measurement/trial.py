@@ -286,6 +286,11 @@ class Trial:
         return self.provenance.get("delays_s", {})
 
     @property
+    def shifts_s(self) -> dict[str, float]:
+        """Instrument -> part of `lags_s` that was found since reading [s]."""
+        return self.provenance.get("shifted_s", {})
+
+    @property
     def readings(self) -> Trial:
         """`around` if it holds all that this trial does, else the trial."""
         wide, own = self.around, self._arrays().keys()

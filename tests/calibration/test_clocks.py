@@ -1,6 +1,7 @@
 """Clocks of encoders and mats that a calibration finds."""
 
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from drake_exo.calibration.clocks import (
     clocks_of,
     left,
     retimed,
+    settle,
 )
 from drake_exo.calibration.error_model import NO_ERRORS, ErrorModel, ErrorSizes
 from drake_exo.calibration.results import (
@@ -454,6 +456,37 @@ def test_noise_does_not_shorten_a_lag(in_device):
         told = near.normal[cuff][:, -1]
         np.testing.assert_allclose(told, by[:, -1], atol=1e-9)
         assert np.std(raw.normal[cuff][:, -1]) > 1.5 * np.std(by[:, -1])
+
+
+def test_lags_that_do_not_settle_are_not_sure(in_device, monkeypatch):
+    """Each pass moves them by 30 ms: they may be as far off."""
+    trials = [recorded(in_device.trials[0])]
+    model, sizes = in_device.model, ErrorSizes()
+    solution = SimpleNamespace(iterations=2, seconds={})
+    result = SimpleNamespace(success=True, trials=trials, solution=solution)
+    posed = []
+
+    def pose(now, solved):
+        posed.append(now[0])
+        errors = ErrorModel(model, now, sizes, solved=solved)
+        return SimpleNamespace(errors=errors, solve=lambda **_: result)
+
+    def posterior(_):
+        return known_of(trials[0], 0.03 if len(posed) < 9 else 0.0, 0.0)
+
+    monkeypatch.setattr("drake_exo.calibration.clocks.posterior", posterior)
+    _, found = settle(trials, pose, "time")
+    assert len(posed) == 6
+    lags = [t.lags_s["encoders"] for t in posed]
+    np.testing.assert_allclose(lags, 0.03 * np.arange(6))
+    encoders, mats = found
+    assert encoders.lag_s == pytest.approx(0.18) and not encoders.sure
+    assert encoders.sd_s == pytest.approx(np.hypot(0.004, 0.03))
+    assert mats.sd_s == pytest.approx(0.012)
+    # Two passes at least: the first one has rates with noise.
+    posed[:] = posed * 2
+    _, found = settle(trials, pose, "time")
+    assert len(posed) == 14 and found[0].sd_s == pytest.approx(0.004)
 
 
 @pytest.mark.slow

@@ -102,16 +102,13 @@ def test_springs_tell_predictions_apart():
 
 
 def test_names_of_files_do_not_tell_runs_apart_but_clocks_do():
-    """`--resume` goes on after files were moved, with what is around, too."""
+    """`--resume` goes on after files were moved."""
     made = synthetic.rises_in_device(1, nodes_per_second=20)
 
     def of(file, clocks):
         said = {"markers": file, "delays_s": {"encoders": 0.0}}
         said["clocks"] = clocks
-        (trial,) = made.trials
-        around = replace(trial, provenance=said)
-        trials = [replace(trial, provenance=said, around=around)]
-        study = Study(made.model, trials)
+        study = Study(made.model, [replace(made.trials[0], provenance=said)])
         return inputs(study, "calibration", study.interaction)
 
     unknown = {"encoders": "left to the calibration, unsure"}

@@ -260,6 +260,7 @@ def test_a_trial_goes_on_another_clock_as_if_read_again(coupled, lag):
     reach = trial.around.times - trial.around.times[0]
     assert reach[-1] == pytest.approx(trial.duration + 0.2)
     assert trial.around.start_s == pytest.approx(trial.start_s - 0.1)
+    assert trial.around.provenance == {}
     late = replace(study.laboratory, encoder_delay_s=lag)
     _, (again,) = load(replace(study, laboratory=late), folder)
     clocks = [Clock(trial.name, "encoders", lag, 0.004)]

@@ -135,7 +135,8 @@ def test_model_contact_and_filter_count_among_settings(tmp_path, trials):
             t,
             provenance={
                 "filter": {"cutoff_hz": 8.0},
-                "delays_s": {"forces": 0.011, "pressure": -0.01804},
+                "delays_s": {"forces": 0.011, "pressure": -0.04804},
+                "shifted_s": {"pressure": -0.03},  # told among the clocks
             },
         )
         for t in trials
