@@ -409,21 +409,31 @@ LISTED: dict[str, list[tuple[str, str]]] = {
     "drake_exo/calibration/clocks.py": [
         ("return QUANTILE_95 * self.sd_s", "return self.sd_s"),
         ("float(lag + late)", "float(late)"),
-        ("c.lag_s - trial.lags_s.get(c.system, 0.0)", "c.lag_s"),
+        (
+            "np.array([c.lag_s - trial.lags_s.get(c.system, 0.0) for",
+            "np.array([c.lag_s for",
+        ),
         ("covariance[j, j] += more**2", "covariance[j, j] += more"),
-        ("(trial.times + late)", "(trial.times - late)"),
+        ("spline(old + late[system])", "spline(old - late[system])"),
+        ("trial.times + trial.start_s - wide.start_s", "trial.times"),
+        ("- wide.shifts_s.get(system, 0.0)", ""),
+        ("() if result is None else result.trials", "()"),
+        ("problem.errors.has_rates and", ""),
+        ("float(np.hypot(c.sd_s, x))", "c.sd_s"),
     ],
     "drake_exo/calibration/error_model.py": [
         ("moments[:, :, k] = self._moments(at, q, v, a, k)", "pass"),
         (
-            "q[:, device, k] = -at.v[:, device]",
-            "q[:, device, k] = at.v[:, device]",
+            "q[:, device, k] = -near.v[:, device]",
+            "q[:, device, k] = near.v[:, device]",
         ),
         (
-            "v[:, device, k] = -at.a[:, device]",
-            "v[:, device, k] = -at.v[:, device]",
+            "v[:, device, k] = -near.a[:, device]",
+            "v[:, device, k] = -near.v[:, device]",
         ),
-        ("normal[cuff][:, k] = -np.gradient(force.normal, at.times)", "pass"),
+        ("normal[cuff][:, k] = -np.gradient(force, at.times)", "pass"),
+        ("near = at if near is None else near.sample(at.times)", "near = at"),
+        ("-trial.shifts_s.get(system, 0.0)", "0.0"),
         ("return f * f, 2.0 * f * rate", "return f * f, f * rate"),
         (
             "found[:, human] -= np.outer(change[:, i], names.turned_by[i])",

@@ -1,7 +1,5 @@
 """A trial: one movement, measured, solved or simulated, on one time base."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -43,7 +41,7 @@ class CuffForce:
                 object.__setattr__(self, name, fixed(given))
 
     @staticmethod
-    def of(components: np.ndarray) -> CuffForce:
+    def of(components: np.ndarray) -> "CuffForce":
         """From tangential, normal, rotational components (n, 3)."""
         tangential, normal, moment = components.T
         return CuffForce(normal, tangential, moment)
@@ -136,7 +134,7 @@ class Trial:
     mass_kg: float | None = None
     start_s: float = 0.0
     provenance: dict[str, Any] = field(default_factory=dict)
-    around: Trial | None = None
+    around: "Trial | None" = None
 
     def __post_init__(self):
         for name in ("times", "q", "v", "a", "moments", "friction", "jerk"):
@@ -262,7 +260,7 @@ class Trial:
         power = np.sum(self.device_moments * rates, axis=1)
         return float(np.trapezoid(power, self.times))
 
-    def cuff(self, name: str) -> CuffForce:
+    def cuff(self, name: str) -> "CuffForce":
         """Force of a cuff on the human.
 
         Raises:
@@ -291,7 +289,7 @@ class Trial:
         return self.provenance.get("shifted_s", {})
 
     @property
-    def readings(self) -> Trial:
+    def readings(self) -> "Trial":
         """`around` if it holds all that this trial does, else the trial."""
         wide, own = self.around, self._arrays().keys()
         is_known = wide is not None and own <= wide._arrays().keys()
@@ -339,7 +337,7 @@ class Trial:
         """Wrench (n,) of the ground by foot: "left" and "right", or "both"."""
         return self.feet or {"both": self.ground}
 
-    def sample(self, times: np.ndarray) -> Trial:
+    def sample(self, times: np.ndarray) -> "Trial":
         """The same movement at other times (m,) [s], by cubic splines.
 
         Raises:
@@ -410,7 +408,7 @@ class Trial:
         )
 
     @staticmethod
-    def load(path: str | Path) -> Trial:
+    def load(path: str | Path) -> "Trial":
         """Read what `save` wrote.
 
         Raises:
