@@ -18,7 +18,10 @@ TESTS = {
         "tests/calibration/test_bands.py",
         "tests/calibration/test_identifiability.py",
     ],
-    "drake_exo/calibration/clocks.py": ["tests/calibration/test_clocks.py"],
+    "drake_exo/calibration/clocks.py": [
+        "tests/calibration/test_clocks.py",
+        "tests/measurement/test_processing.py",
+    ],
     "drake_exo/calibration/error_model.py": [
         "tests/calibration/test_error_model.py"
     ],
