@@ -40,8 +40,8 @@ from drake_exo.model.plant import Model
 # device that turns by 100 degrees a second are then known to a degree.
 LARGEST_DOUBT_S = 0.01
 _PASSES = 6  # at most, to find lags
-# Lags stay if they change by less than this share of their interval, or than
-# this [s].
+# Lags stay if they change by less than this share of their interval's
+# half-width, or than this [s].
 _SETTLED, _SETTLED_S = 0.5, 1e-3
 _GIVEN = {"encoders": "encoder_delay_s", "pressure": "pressure_delay_s"}
 _ORIGIN_M = 1e-3  # standard deviation of a cuff's place from trial to trial
