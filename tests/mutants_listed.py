@@ -421,7 +421,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("trial.times + trial.start_s - wide.start_s", "trial.times"),
         ("- wide.shifts_s.get(system, 0.0)", ""),
         ("() if result is None else result.trials", "()"),
-        ("problem.errors.has_rates and", ""),
+        ("number > 0 and", ""),
         ("float(np.hypot(c.sd_s, x))", "c.sd_s"),
     ],
     "drake_exo/calibration/error_model.py": [

@@ -165,11 +165,6 @@ class ErrorModel:
         self.unknowns = [u for u in found if u.sd > 0.0] if names.device else []
 
     @property
-    def has_rates(self) -> bool:
-        """Whether rates of readings are told by solutions."""
-        return bool(self._solved)
-
-    @property
     def names(self) -> list[str]:
         """Names of the unknowns."""
         return [u.name for u in self.unknowns]
