@@ -599,10 +599,7 @@ class Calibration(_Solved):
     def _measured(self) -> list[Trial]:
         """The measured trials, readings shifted by the lags found."""
         found = self.clocks if self.success else []
-        return [
-            retimed(trial, of_trial(trial, found))
-            for trial in self.result.problem.trials
-        ]
+        return [retimed(t, found) for t in self.result.problem.trials]
 
     @property
     def trials(self) -> list[Trial]:
@@ -797,8 +794,7 @@ class Prediction(_Solved, Trial):
     def timed(self, measured: Trial) -> Trial:
         """The measured trial, its readings shifted by the lags found."""
         check_type(measured, Trial, "measured")
-        own = of_trial(measured, self.clocks) if measured.lags_s else []
-        return retimed(measured, own)
+        return retimed(measured, self.clocks if measured.lags_s else ())
 
     def audit(self) -> Audit:
         """Residuals between its nodes and in a simulation."""
@@ -970,7 +966,7 @@ def calibrate_interaction(
     timed, clocks = settle(trials, timing, f"{title}, clocks")
     if timed is not None and timed.solution.was_stopped:
         return Calibration("interaction", copy(study), timed)
-    on_time = [retimed(t, of_trial(t, clocks)) for t in trials]
+    on_time = [retimed(t, clocks) for t in trials]
     near = timed if clocks else None
 
     def pose(refined):

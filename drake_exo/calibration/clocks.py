@@ -121,12 +121,18 @@ def left(trial: Trial, own: Sequence[Clock]) -> Posterior:
     )
 
 
-def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
-    """A recorded trial with its readings shifted by the lags that were found.
+def of_trial(trial: Trial, clocks: Iterable[Clock]) -> list[Clock]:
+    """Those of some clocks that are the trial's."""
+    return [c for c in clocks if c.trial == trial.name]
+
+
+def retimed(trial: Trial, clocks: Iterable[Clock]) -> Trial:
+    """A recorded trial with its readings shifted by its lags among `clocks`.
 
     Readings are interpolated, from before and after the trial, too, as far as
     `Trial.around` knows them; beyond, the splines extrapolate.
     """
+    own = of_trial(trial, clocks)
     late = {c.system: c.lag_s - trial.lags_s.get(c.system, 0.0) for c in own}
     if not late:
         return trial
@@ -179,21 +185,6 @@ def retimed(trial: Trial, own: Sequence[Clock]) -> Trial:
     return replace(trial, **changed, provenance=provenance, around=wide)
 
 
-def _recorded(trials: Iterable[Trial]) -> set[str]:
-    """Names of the clocks of recorded systems."""
-    return {
-        f"{trial.name}.{CLOCKS[system]}"
-        for trial in trials
-        for system in trial.lags_s
-        if system in CLOCKS
-    }
-
-
-def of_trial(trial: Trial, clocks: Iterable[Clock]) -> list[Clock]:
-    """Those of some clocks that are the trial's."""
-    return [c for c in clocks if c.trial == trial.name]
-
-
 def settle(
     trials: Sequence[Trial],
     pose: Callable[[Sequence[Trial], Sequence[Trial]], PhaseProblem],
@@ -214,11 +205,12 @@ def settle(
         The last result, None if no clock is unknown; and the clocks, none if
         it failed, less sure if lags still move.
     """
+    recorded = {t.name for t in trials if t.lags_s}
     result, found = None, []
     for number in range(_PASSES):
-        now = [retimed(t, of_trial(t, found)) for t in trials]
+        now = [retimed(t, found) for t in trials]
         problem = pose(now, () if result is None else result.trials)
-        if not _recorded(trials) & set(problem.errors.names):
+        if not any(u.trial in recorded for u in problem.errors.unknowns):
             return None, []
         again = problem.solve(on_iterate=SolveWatch(title), near=result)
         if result is not None:
