@@ -1088,7 +1088,7 @@ def torque_terms(
         sigma[:, own] *= np.maximum(share, _IN_SWING)[:, None]
     sigma[:, [name.startswith("toes") for name in names.joints]] = np.inf
     by_errors = effects and effects.moments
-    if answer is None:
+    if answer is None or not device:
         return [Tracking(movement.torque, at.moments, sigma, effects=by_errors)]
     own, rows = names.is_device_joint, np.eye(len(names.joints))
     if effects is not None:

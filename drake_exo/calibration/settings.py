@@ -231,9 +231,6 @@ class PredictionEnds(EndTolerance):
     pitch_rate_deg_s: float | None = positive("deg/s", 10.0)
 
 
-FEWEST_NODES = 10.0  # per second, of a grid
-
-
 @dataclass(frozen=True)
 class Solver:
     """Grid and solver.
@@ -254,7 +251,7 @@ class Solver:
     1e-05
     """
 
-    nodes_per_second: float = quantity("1/s", 200.0, minimum=FEWEST_NODES)
+    nodes_per_second: float = quantity("1/s", 200.0, minimum=10.0)
     transcription: Literal["hermite_simpson", "pseudospectral"] = (
         "hermite_simpson"
     )
