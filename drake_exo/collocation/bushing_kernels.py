@@ -91,7 +91,8 @@ class BushingKernel:
         J = np.zeros((len(x), *self.sparsity.shape))
         damping = self._damping[:, None]
         J[:, :, :nq] = (slope * stiffness)[:, :, None] * D
-        J[:, :, :nq] += damping * b.rate_jacobian(terms, v)
+        by_q = b.deflection_jacobian(b.led(terms, v))[:, :ROTATION]
+        J[:, :ROTATION, :nq] += damping[:ROTATION] * by_q
         J[:, :, nq : 2 * nq] = damping * D
         J[:, np.arange(3), 2 * nq + np.arange(3)] = -1.0
         turns = b.turns(q)

@@ -346,11 +346,6 @@ class BushingKinematics:
         rotation = np.broadcast_to(self.rotation, d.shape)
         return np.stack([d.imag, d.real, rotation], axis=1)
 
-    def rate_jacobian(self, terms, v):
-        """Derivative of the deflection's rate by q, (n, 3, nq)."""
-        d = (1j * self.led(terms, v)) @ self.relative
-        return np.stack([d.imag, d.real, np.zeros(d.shape)], axis=1)
-
     def by_places(self, turns):
         """Tangential, normal deflection by places, (n, 2, num_places)."""
         g = turns @ self._by
