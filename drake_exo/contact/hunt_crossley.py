@@ -34,7 +34,6 @@ from drake_exo.contact.scalars import (
     exp,
     maximum,
     minimum,
-    select_less,
     sqrt,
     tanh,
 )
@@ -166,10 +165,7 @@ def release_rate(dissipation):
 
     For c = 0 it is finite, but so large that the gate using it is exactly 1.
     """
-    c = select_less(
-        MIN_GATE_DISSIPATION, dissipation, dissipation, MIN_GATE_DISSIPATION
-    )
-    return 2.0 / (3.0 * c)
+    return 2.0 / (3.0 * maximum(MIN_GATE_DISSIPATION, dissipation))
 
 
 def _paper_normal(x, x_dot, k, c, r, p: PaperConstants):

@@ -97,23 +97,12 @@ cos = _unary(np.cos, math.cos)
 sin = _unary(np.sin, math.sin)
 
 
-def _arctan2_element(y, x):
-    from pydrake.math import arctan2
-
-    return arctan2(y, x)
-
-
-_arctan2_objects = np.frompyfunc(_arctan2_element, 2, 1)
-
-
 def arctan2(y, x):
     """Elementwise angle of (x, y) in (−π, π]; not for complex numbers."""
     if type(y) is type(x) is float:
         return math.atan2(y, x)
-    if _holds_object((y, x)):
-        with np.errstate(**_QUIET):
-            return _arctan2_objects(y, x)
-    return np.arctan2(y, x)
+    with np.errstate(**_QUIET):
+        return np.arctan2(y, x)
 
 
 def _select_element(a, b, if_less, otherwise):
