@@ -253,15 +253,15 @@ class ContactModel:
 
     def values(self) -> dict[str, float]:
         """Parameters by name: all of spheres, then CALIBRATED of bushings."""
-        found = {}
-        for name, sphere in self.ground.spheres.items():
-            found |= {
-                f"{name}.{k}": getattr(sphere, k) for k in SPHERE_PARAMETERS
-            }
-        for name, bushing in self.bushings.items():
-            for k in CALIBRATED:
-                found[f"{name}.{k}"] = getattr(bushing, k)
-        return {name: float(value) for name, value in found.items()}
+        return {
+            f"{name}.{k}": float(getattr(part, k))
+            for parts, keys in (
+                (self.ground.spheres, SPHERE_PARAMETERS),
+                (self.bushings, CALIBRATED),
+            )
+            for name, part in parts.items()
+            for k in keys
+        }
 
     def units(self) -> dict[str, str]:
         """Units of `values`, by the same names."""
