@@ -82,18 +82,17 @@ def made_on_demand(scope: dict) -> Callable[[str], type]:
 __getattr__ = made_on_demand(globals())
 
 
-def declare_body_inputs(system: LeafSystem, T) -> None:
-    """Declares the plant's "body_poses" and "body_spatial_velocities"."""
-    system.DeclareAbstractInputPort(
-        "body_poses", AbstractValue.Make([RigidTransform_[T]()])
-    )
-    system.DeclareAbstractInputPort(
-        "body_spatial_velocities", AbstractValue.Make([SpatialVelocity_[T]()])
-    )
+def declare_force_ports(system: LeafSystem, T, calc) -> None:
+    """Declares the ports of a system that applies forces to bodies.
 
-
-def declare_force_output(system: LeafSystem, T, calc) -> None:
-    """Declares "spatial_forces", for the plant's applied_spatial_force."""
+    Inputs "body_poses" and "body_spatial_velocities" of the plant; the output
+    "spatial_forces", computed by `calc`, for its applied_spatial_force.
+    """
+    for name, kind in (
+        ("body_poses", RigidTransform_[T]),
+        ("body_spatial_velocities", SpatialVelocity_[T]),
+    ):
+        system.DeclareAbstractInputPort(name, AbstractValue.Make([kind()]))
     entry = ExternallyAppliedSpatialForce_[T]
     system.DeclareAbstractOutputPort(
         "spatial_forces", lambda: AbstractValue.Make([entry()]), calc
@@ -123,7 +122,7 @@ class BodyState(NamedTuple):
 
 
 def read_bodies(system: LeafSystem, context, bodies) -> list[BodyState]:
-    """States of bodies, from the ports of `declare_body_inputs`.
+    """States of bodies, from the ports of `declare_force_ports`.
 
     Args:
         system: the system that declared the ports.
@@ -282,7 +281,7 @@ class _FootGroundContact:
         self._body = _index_of(body, "body")
         self._parameters = parameters = parameters.checked()
         self.set_name("foot_ground_contact")
-        declare_body_inputs(self, T)
+        declare_force_ports(self, T, self._calc_spatial_forces)
         for values in (*parameters.spheres.values(), parameters.constants):
             self.DeclareNumericParameter(BasicVector_[T](astuple(values)))
         self._values = _declare_values(self, self._calc_values)
@@ -290,7 +289,6 @@ class _FootGroundContact:
         self._wrenches = self.DeclareCacheEntry(
             "wrenches", _produced(self._calc_wrenches)
         )
-        declare_force_output(self, T, self._calc_spatial_forces)
         self.DeclareVectorOutputPort(
             "ground_reaction", 3, self._calc_ground_reaction
         )
@@ -444,17 +442,22 @@ class _Bushings:
         }
         self._parameters = dict(parameters)
         self.set_name("human_exoskeleton_bushings")
-        declare_body_inputs(self, T)
+        declare_force_ports(self, T, self._calc_spatial_forces)
         for values in parameters.values():
             self.DeclareNumericParameter(BasicVector_[T](astuple(values)))
         self._values = _declare_values(self, self._calc_values)
-        declare_force_output(self, T, self._calc_spatial_forces)
         size = len(COMPONENTS) * len(parameters)
-        for name, calc in (
-            ("interaction_forces", self._calc_forces),
-            ("deflections", self._calc_deflections),
-            ("energies", self._calc_energies),
+        for name, read in (
+            ("interaction_forces", lambda own, d, force: force),
+            ("deflections", lambda own, d, force: d),
+            (
+                "energies",
+                lambda own, d, force: bushing_energy(
+                    d, own.stiffness, own.slip
+                ),
+            ),
         ):
+            calc = functools.partial(self._calc_read, read)
             self.DeclareVectorOutputPort(name, size, calc)
 
     def parameters(self, context=None) -> dict[str, BushingParameters]:
@@ -523,24 +526,9 @@ class _Bushings:
             entries += opposite_forces(self._T, pair, links, wrench)
         output.set_value(entries)
 
-    def _calc_forces(self, context, output):
-        output.SetFromVector(
-            [x for *_, force in self._evaluate(context) for x in force]
-        )
-
-    def _calc_deflections(self, context, output):
-        output.SetFromVector(
-            [x for *_, d, _ in self._evaluate(context) for x in d]
-        )
-
-    def _calc_energies(self, context, output):
-        output.SetFromVector(
-            [
-                x
-                for *_, own, d, _ in self._evaluate(context)
-                for x in bushing_energy(d, own.stiffness, own.slip)
-            ]
-        )
+    def _calc_read(self, read, context, output):
+        parts = (read(*known) for _, _, *known in self._evaluate(context))
+        output.SetFromVector([x for values in parts for x in values])
 
 
 @TemplateSystem.define("HumanExoskeletonBushings_", scope=sys.modules[__name__])
@@ -636,8 +624,7 @@ def Chair_(T):
             self._bodies = dict(bodies)
             self._span = float(times[0]), float(times[-1])
             self._spline = CubicSpline(times, wrench)
-            declare_body_inputs(self, T)
-            declare_force_output(self, T, self._calc_spatial_forces)
+            declare_force_ports(self, T, self._calc_spatial_forces)
             self.DeclareVectorOutputPort(
                 "chair_reaction", 3, self._calc_reaction
             )

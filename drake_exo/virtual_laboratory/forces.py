@@ -29,8 +29,7 @@ from drake_exo.contact.parameters import GroundContact
 from drake_exo.contact.scalars import sqrt
 from drake_exo.contact.systems import (
     applied_force,
-    declare_body_inputs,
-    declare_force_output,
+    declare_force_ports,
     foot_contact,
     opposite_forces,
     planar_poses,
@@ -124,8 +123,7 @@ class Cuffs(LeafSystem):
         ]
         self._bodies = [body for pair in self._pairs for body in pair]
         self._cuffs = list(cuffs.values())
-        declare_body_inputs(self, float)
-        declare_force_output(self, float, self._calc_spatial_forces)
+        declare_force_ports(self, float, self._calc_spatial_forces)
 
     def _calc_spatial_forces(self, context, output):
         states = iter(read_bodies(self, context, self._bodies))
@@ -217,8 +215,7 @@ class Seat(LeafSystem):
         # With the pelvis above this no posture reaches the seat.
         reach = np.hypot(seat.x_m, seat.z_m) + seat.radius_m
         self._clear_z = seat.height_m + reach + _CLEARANCE_M
-        declare_body_inputs(self, float)
-        declare_force_output(self, float, self._calc_spatial_forces)
+        declare_force_ports(self, float, self._calc_spatial_forces)
 
     def _calc_spatial_forces(self, context, output):
         pose = self.GetInputPort("body_poses").Eval(context)[int(self._pelvis)]

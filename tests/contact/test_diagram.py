@@ -35,8 +35,7 @@ from drake_exo.contact.parameters import (
 )
 from drake_exo.contact.systems import (
     FootGroundContact,
-    declare_body_inputs,
-    declare_force_output,
+    declare_force_ports,
 )
 from drake_exo.errors import InputError
 from drake_exo.model.description import fit_exoskeleton, nominal_human
@@ -295,8 +294,7 @@ class Push(LeafSystem):
 
     def __init__(self):
         super().__init__()
-        declare_body_inputs(self, float)
-        declare_force_output(self, float, self._calc)
+        declare_force_ports(self, float, self._calc)
         self.calls = 0
 
     def _calc(self, context, output):
