@@ -141,24 +141,6 @@ def read_bodies(system: LeafSystem, context, bodies) -> list[BodyState]:
     return found
 
 
-def to_world(position, direction, x, z):
-    """World (x, z) of a point given in a body's axes.
-
-    Args:
-        position, direction: (x, z) and (cosine, sine) of the body.
-        x, z: of the point in the body.
-    """
-    c, s = direction
-    return position[0] + c * x - s * z, position[1] + s * x + c * z
-
-
-def to_body(position, direction, x, z):
-    """Point (x, z) of the world in a body's axes; inverse of `to_world`."""
-    c, s = direction
-    dx, dz = x - position[0], z - position[1]
-    return c * dx + s * dz, c * dz - s * dx
-
-
 def planar_poses(first: BodyState, second: BodyState) -> tuple:
     """(x, z, angle) of two bodies, angles on the same branch.
 
@@ -176,20 +158,23 @@ def _force_types(T) -> tuple:
     return ExternallyAppliedSpatialForce_[T], SpatialForce_[T]
 
 
-def applied_force(T, body, point, force, moment=0.0):
+def applied_force(T, body, link: BodyState, point, force, moment=0.0):
     """One entry of a plant's "applied_spatial_force" port.
 
     Args:
         T: scalar type.
         body: index of the body that receives the force.
-        point: (x, z) where it acts, in the body's axes [m].
+        link: state of that body.
+        point: (x, z) where it acts, in the world [m].
         force: (F_x, F_z) in the world [N].
         moment: toes-up positive (about world −y) [N·m].
     """
     Entry, Force = _force_types(T)
     entry = Entry()
     entry.body_index = body
-    entry.p_BoBq_B = np.array([point[0], 0.0, point[1]])
+    c, s = link.direction
+    dx, dz = point[0] - link.position[0], point[1] - link.position[1]
+    entry.p_BoBq_B = np.array([c * dx + s * dz, 0.0, c * dz - s * dx])
     F_Bq_W = [0.0, -moment, 0.0, force[0], 0.0, force[1]]
     entry.F_Bq_W = Force(F=np.array(F_Bq_W))
     return entry
@@ -204,15 +189,11 @@ def opposite_forces(T, pair, links, wrench) -> list:
         links: `BodyState` of each.
         wrench: `BushingWrench` on the human.
     """
+    *wrench, x, z = wrench
     entries = []
     for body, link, sign in zip(pair, links, (1, -1), strict=True):
-        point = to_body(
-            link.position, link.direction, wrench.point_x, wrench.point_z
-        )
-        force = (sign * wrench.force_x, sign * wrench.force_z)
-        entries.append(
-            applied_force(T, body, point, force, sign * wrench.moment)
-        )
+        *force, moment = (sign * value for value in wrench)
+        entries.append(applied_force(T, body, link, (x, z), force, moment))
     return entries
 
 
@@ -232,8 +213,9 @@ def foot_contact(
         Entries of shape (...).
     """
     stiffness, dissipation, x, z, radius = spheres
-    center_x, center_z = to_world(position, direction, x, z)
-    v_x, v_z, rate = motion
+    (c, s), (v_x, v_z, rate) = direction, motion
+    center_x = position[0] + c * x - s * z
+    center_z = position[1] + s * x + c * z
     return sphere_wrench(
         law,
         center_x,
@@ -355,15 +337,8 @@ class _FootGroundContact:
         foot, wrenches = self._wrenches.Eval(context)
         output.set_value(
             [
-                applied_force(
-                    self._T,
-                    self._body,
-                    to_body(
-                        foot.position, foot.direction, w.point_x, w.point_z
-                    ),
-                    (w.force_x, w.force_z),
-                )
-                for w in wrenches
+                applied_force(self._T, self._body, foot, (x, z), force)
+                for *force, x, z in wrenches
             ]
         )
 
@@ -649,12 +624,9 @@ def Chair_(T):
             ):
                 x, z = state.position
                 moment = M_y - (z * F_x - x * F_z)
+                force = T(share * F_x), T(share * F_z)
                 entry = applied_force(
-                    T,
-                    body,
-                    (T(0.0), T(0.0)),
-                    (T(share * F_x), T(share * F_z)),
-                    -share * moment,
+                    T, body, state, (x, z), force, -share * moment
                 )
                 entries.append(entry)
             output.set_value(entries)

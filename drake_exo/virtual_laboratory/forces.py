@@ -34,7 +34,6 @@ from drake_exo.contact.systems import (
     opposite_forces,
     planar_poses,
     read_bodies,
-    to_body,
 )
 from drake_exo.files.schema import quantity
 from drake_exo.measurement.sagittal import PlanarWrench
@@ -223,12 +222,10 @@ class Seat(LeafSystem):
             output.set_value([])
             return
         (pelvis,) = read_bodies(self, context, [self._pelvis])
-        wrench = seat_wrench(self._seat, *pelvis)
-        point = to_body(
-            pelvis.position, pelvis.direction, wrench.point_x, wrench.point_z
+        *force, x, z = seat_wrench(self._seat, *pelvis)
+        output.set_value(
+            [applied_force(float, self._pelvis, pelvis, (x, z), force)]
         )
-        force = (wrench.force_x, wrench.force_z)
-        output.set_value([applied_force(float, self._pelvis, point, force)])
 
 
 def feet(tree: PlanarTree) -> list[str]:
