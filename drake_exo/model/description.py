@@ -198,9 +198,9 @@ def _cut_toes(model: ET.Element, human: HumanParameters) -> None:
 def _set_inertial(inertial: ET.Element, segment: SegmentParameters) -> None:
     x, z = segment.com_m
     _set_pose(inertial, np.array([x, 0, z, 0, 0, 0]))
-    _child(inertial, "mass").text = repr(float(segment.mass_kg))
+    inertial.find("mass").text = repr(float(segment.mass_kg))
     for axis in ("ixx", "iyy", "izz"):
-        moment = _child(inertial, f"inertia/{axis}")
+        moment = inertial.find(f"inertia/{axis}")
         moment.text = repr(float(segment.inertia_kg_m2))
 
 
@@ -409,7 +409,7 @@ def hinged(text: str) -> str:
         pose.text = "0 0 0 0 0 0"
         _link(model, child).insert(0, pose)
         joint = ET.SubElement(
-            _child(model, "model"), "joint", name=name, type="revolute"
+            model.find("model"), "joint", name=name, type="revolute"
         )
         for tag, text in (("parent", parent), ("child", child)):
             ET.SubElement(joint, tag).text = text
@@ -426,7 +426,7 @@ def without_cuffs(text: str, segments: Sequence[str]) -> str:
         for visual in link.findall("visual"):
             if visual.get("name").endswith(_CUFF_VISUALS[segment]):
                 link.remove(visual)
-        top = _child(model, "model")
+        top = model.find("model")
         for frame in top.findall("frame"):
             if frame.get("name") == f"exo_{segment}_cuff":
                 top.remove(frame)
@@ -458,28 +458,21 @@ def numbers(values) -> str:
     return " ".join(repr(float(v) + 0.0) for v in values)
 
 
-def _child(element: ET.Element, path: str) -> ET.Element:
-    found = element.find(path)
-    if found is None:
-        raise ValueError(f"model file lacks <{path}> in <{element.tag}>")
-    return found
-
-
 def _link(model: ET.Element, name: str) -> ET.Element:
-    return _child(model, f"model/link[@name='{name}']")
+    return model.find(f"model/link[@name='{name}']")
 
 
 def _frame(model: ET.Element, name: str) -> ET.Element:
-    return _child(model, f"model/frame[@name='{name}']")
+    return model.find(f"model/frame[@name='{name}']")
 
 
 def _pose(element: ET.Element) -> np.ndarray:
     """Six numbers of the element's <pose>: x y z [m], roll pitch yaw [rad]."""
-    return np.array(_child(element, "pose").text.split(), dtype=float)
+    return np.array(element.find("pose").text.split(), dtype=float)
 
 
 def _set_pose(element: ET.Element, pose: np.ndarray) -> None:
-    _child(element, "pose").text = numbers(pose)
+    element.find("pose").text = numbers(pose)
 
 
 def _set_frame(
@@ -491,12 +484,12 @@ def _set_frame(
 def _segment(
     model: ET.Element, name: str, length_m: float
 ) -> SegmentParameters:
-    inertial = _child(_link(model, f"exo_{name}"), "inertial")
+    inertial = _link(model, f"exo_{name}").find("inertial")
     x, _, z = _pose(inertial)[:3]
     return SegmentParameters(
-        float(_child(inertial, "mass").text),
+        float(inertial.find("mass").text),
         (float(x), float(z)),
-        float(_child(inertial, "inertia/iyy").text),
+        float(inertial.find("inertia/iyy").text),
         length_m,
     )
 
@@ -506,7 +499,7 @@ def _rewrite_link(
 ) -> None:
     """Set a link's inertia; scale sizes and places of its visuals by (3,)."""
     link = _link(model, name)
-    _set_inertial(_child(link, "inertial"), segment)
+    _set_inertial(link.find("inertial"), segment)
     for visual in link.findall("visual"):
         _stretch_visual(visual, size, place)
     for frame in model.findall(f"model/frame[@attached_to='{name}']"):
@@ -524,7 +517,7 @@ def _stretch_visual(visual: ET.Element, size, place) -> None:
     fx, fy, fz = np.linalg.norm(axes, axis=0)
     pose[:3] *= place
     _set_pose(visual, pose)
-    shape = _child(visual, "geometry")[0]
+    shape = visual.find("geometry")[0]
     factors = {
         "size": (fx, fy, fz),
         "radii": (fx, fy, fz),
