@@ -170,14 +170,10 @@ class ElasticProgram:
     def __init__(self, problem: SparseProgram, kinds, weight: float):
         self._problem = problem
         self._weight = weight
-        known = problem.program.labelled
-        labelled = [i for kind in kinds for i in known.get(kind, [])]
-        columns = problem.unknowns.bounding(labelled)
-        rows = problem.rows.bounding(labelled)
-        self._variables = np.r_[
-            problem.unknowns.variable_of(columns),
-            problem.rows.variable_of(rows),
-        ]
+        labelled = problem.program.labelled(kinds)
+        columns, direct = problem.unknowns.bounding(labelled)
+        rows, substituted = problem.rows.bounding(labelled)
+        self._variables = np.r_[direct, substituted]
         unit = sp.eye_array(problem.num_unknowns, format="csr")
         self._ends = sp.vstack(
             [unit[columns], problem.rows.linear[rows]], format="csr"

@@ -122,7 +122,6 @@ class BatchedProgram:
             each iteration.
         constraints: batches lower <= f(x) <= upper.
         residuals: batches whose cost is half the sum of squares of f(x).
-        labelled: kind -> indices of variables that `label` has named.
     """
 
     def __init__(self):
@@ -130,7 +129,6 @@ class BatchedProgram:
         self.constraints: list[Batch] = []
         self.residuals: list[Batch] = []
         self._quadratics: list[_Quadratics] = []
-        self.labelled: dict[str, np.ndarray] = {}
         self._labels: list[tuple] = []
         self._covered: set[int] = set()
         self._keep_alive: list = []
@@ -198,13 +196,16 @@ class BatchedProgram:
             units: (m,) unit for reports, and factor that converts to it.
         """
         index = self.indices(variables)
-        self._labels.append((index, columns, rows, units))
-        known = self.labelled.get(kind, [])
-        self.labelled[kind] = np.union1d(known, index.ravel()).astype(int)
+        self._labels.append((kind, index, columns, rows, units))
+
+    def labelled(self, kinds) -> list[int]:
+        """Indices of variables that `label` has named, of some kinds."""
+        every = (index for kind, index, *_ in self._labels if kind in kinds)
+        return [i for index in every for i in index.ravel()]
 
     def label_of(self, index: int) -> tuple[str, str, tuple[str, float]]:
         """Column, row and unit of a variable as labelled, or its name."""
-        for where, columns, rows, units in self._labels:
+        for _, where, columns, rows, units in self._labels:
             row, column = np.nonzero(where == index)
             if len(row):
                 return columns[column[0]], rows[row[0]], units[column[0]]
@@ -590,15 +591,12 @@ class Unknowns:
             y[len(direct) :] = sp.linalg.spsolve(W.T @ W, W.T @ r)
         return np.clip(y, self.lower, self.upper)
 
-    def bounding(self, variables) -> np.ndarray:
-        """Columns of direct unknowns with a bound, among given variables."""
+    def bounding(self, variables) -> tuple[np.ndarray, np.ndarray]:
+        """Columns of bounded unknowns that are given variables; these, too."""
         bounded = np.isfinite(self.lower) | np.isfinite(self.upper)
         hit = np.isin(self._direct, variables)
-        return np.flatnonzero(bounded[: len(hit)] & hit)
-
-    def variable_of(self, columns: np.ndarray) -> np.ndarray:
-        """Indices of the program variables of direct unknowns."""
-        return self._direct[columns]
+        columns = np.flatnonzero(bounded[: len(hit)] & hit)
+        return columns, self._direct[columns]
 
     def column_of(self, variables: np.ndarray) -> np.ndarray:
         """Column of y of each program variable that is a direct unknown.

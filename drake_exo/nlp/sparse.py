@@ -76,7 +76,12 @@ class SparseProgram:
         self.g_lower, self.g_upper = self.rows.lower, self.rows.upper
         self.num_constraints = len(self.g_lower)
         self._moved = np.zeros(self.rows.linear.shape[0])  # by `move_fixed`
-        self._collect_costs()
+        matrix = self.unknowns.matrix
+        self.residual_blocks = [Block(b, matrix) for b in program.residuals]
+        self._costs = [Block(b, matrix) for b in program.loose_costs()]
+        # Kept in program variables: in a basis of splines the large
+        # coefficients would cancel and lose digits.
+        self._Q, self._b, self._c = program.quadratic_cost()
         self._lay_out_jacobian()
         self._lay_out_hessian()
 
@@ -105,18 +110,6 @@ class SparseProgram:
         self._cache.clear()
 
     # -- structure ---------------------------------------------------------
-
-    def _collect_costs(self):
-        matrix = self.unknowns.matrix
-        self.residual_blocks = [
-            Block(batch, matrix) for batch in self.program.residuals
-        ]
-        # Kept in program variables: in a basis of splines the large
-        # coefficients would cancel and lose digits.
-        self._Q, self._b, self._c = self.program.quadratic_cost()
-        self._costs = [
-            Block(batch, matrix) for batch in self.program.loose_costs()
-        ]
 
     def _lay_out_jacobian(self):
         coo = self.rows.linear.tocoo()
@@ -177,11 +170,11 @@ class SparseProgram:
     # -- evaluation -------------------------------------------------------
 
     def _timed(self, part, y, compute):
-        """As `_once`, and count time and calls."""
+        """As `_once`, of program variables x; time and calls are counted."""
 
         def timed():
             start = time.perf_counter()
-            result = compute()
+            result = compute(self._expanded(y))
             self.seconds[part] += time.perf_counter() - start
             self.evaluations[part] += 1
             return result
@@ -200,18 +193,16 @@ class SparseProgram:
         return self._once("expanded", y, lambda: self.expand(y))
 
     def _residual_terms(self, y):
-        def compute():
-            x = self._expanded(y)
-            return [b.values(x) for b in self.residual_blocks]
-
-        return self._timed("residuals", y, compute)
+        blocks = self.residual_blocks
+        return self._timed(
+            "residuals", y, lambda x: [b.values(x) for b in blocks]
+        )
 
     def _residual_jacobians(self, y):
-        def compute():
-            x = self._expanded(y)
-            return [b.jacobian(x) for b in self.residual_blocks]
-
-        return self._timed("residual_jacobian", y, compute)
+        blocks = self.residual_blocks
+        return self._timed(
+            "residual_jacobian", y, lambda x: [b.jacobian(x) for b in blocks]
+        )
 
     def objective(self, y: np.ndarray) -> float:
         """Cost at y."""
@@ -255,8 +246,7 @@ class SparseProgram:
     def constraints(self, y: np.ndarray) -> np.ndarray:
         """Constraint values g(y)."""
 
-        def compute():
-            x = self._expanded(y)
+        def compute(x):
             parts = [self.rows.linear @ y + self._moved]
             parts += [b.values(x).ravel() for b in self.rows.blocks]
             return np.concatenate(parts)
@@ -266,8 +256,7 @@ class SparseProgram:
     def jacobian(self, y: np.ndarray) -> np.ndarray:
         """Nonzeros of dg/dy, in the order of jacobian_structure."""
 
-        def compute():
-            x = self._expanded(y)
+        def compute(x):
             parts = [self._A_values]
             for b, entries in zip(self.rows.blocks, self._entries, strict=True):
                 parts.append(b.jacobian(x).ravel()[entries])
@@ -305,11 +294,10 @@ class SparseProgram:
             add(b, b.values(x))
         for b in touched(self._costs):
             add(b, np.ones((1, 1)))
-        places = {id(b): place for b, place in self.rows.numbered_blocks()}
-        for b in touched(self.rows.blocks):
-            place = places[id(b)]
-            value[place] = b.values(x).ravel()
-            add(b, multipliers[place].reshape(b.batch.lower.shape))
+        places = dict(self.rows.numbered_blocks())
+        for b in touched(places):
+            value[places[b]] = b.values(x).ravel()
+            add(b, multipliers[places[b]].reshape(b.batch.lower.shape))
         return slope, value
 
     def hessian(self, y, multipliers, factor) -> np.ndarray:
@@ -331,23 +319,15 @@ class SparseProgram:
         return self._curved(y, 1.0, self._cost_weights(y, 1.0, exact=False))
 
     def _curved(self, y, factor, weights):
-        jacobians = dict(
-            zip(
-                map(id, self.residual_blocks),
-                self._residual_jacobians(y),
-                strict=True,
-            )
-        )
-        return self._hessian.values(
-            factor, self._expanded(y), jacobians, weights
-        )
+        x, jacobians = self._expanded(y), self._residual_jacobians(y)
+        return self._hessian.values(factor, x, jacobians, weights)
 
     def _cost_weights(self, y, factor, exact):
-        weights = {id(b): np.full((1, 1), factor) for b in self._costs}
+        weights = {b: np.full((1, 1), factor) for b in self._costs}
         terms = self._residual_terms(y)
         for b, r in zip(self.residual_blocks, terms, strict=True):
             if exact or hasattr(b.batch.kernel, "curvature"):
-                weights[id(b)] = factor * r
+                weights[b] = factor * r
         return weights
 
     def _curvature_weights(self, y, multipliers, factor):
@@ -358,7 +338,7 @@ class SparseProgram:
             if not self._is_near:
                 return weights
         for b, place in self.rows.numbered_blocks():
-            weights[id(b)] = multipliers[place].reshape(b.batch.lower.shape)
+            weights[b] = multipliers[place].reshape(b.batch.lower.shape)
         return weights
 
     # -- reports ----------------------------------------------------------
@@ -477,14 +457,10 @@ class ConstraintRows:
         """Derivative (nl,) of the linear rows by a program variable."""
         return self._A[:, [variable]].toarray()[:, 0]
 
-    def bounding(self, variables) -> np.ndarray:
-        """Rows that are bounds of any of the given substituted variables."""
-        hit = np.isin(self._bounded, variables)
-        return self._first_bounded + np.flatnonzero(hit)
-
-    def variable_of(self, rows: np.ndarray) -> np.ndarray:
-        """Program variable that each row bounds."""
-        return self._bounded[rows - self._first_bounded]
+    def bounding(self, variables) -> tuple[np.ndarray, np.ndarray]:
+        """Rows that bound given substituted variables; the variable of each."""
+        hit = np.flatnonzero(np.isin(self._bounded, variables))
+        return self._first_bounded + hit, self._bounded[hit]
 
     def row_of(self, variables: np.ndarray) -> np.ndarray:
         """Row that bounds each variable; -1 where none does."""
@@ -673,17 +649,19 @@ class HessianLayout:
         Args:
             factor: factor of the cost.
             x: (n,) program variables.
-            jacobians: id of a residual block -> its Jacobian.
-            weights: id of a block -> weights of its outputs' curvature; blocks
+            jacobians: of the blocks `gauss_newton`, in their order.
+            weights: block -> weights of its outputs' curvature; blocks
                 without weights are left out.
         """
         H = factor * self.constant
-        for b, slots, kept, places in self._gauss_newton:
-            J = jacobians[id(b)][:, :, slots]
+        for (_, slots, kept, places), J in zip(
+            self._gauss_newton, jacobians, strict=True
+        ):
+            J = J[:, :, slots]
             term = factor * (J.transpose(0, 2, 1) @ J)
             np.add.at(H, places, term.ravel()[kept])
         for b, _, kept, places in self._curved:
-            if id(b) in weights:
-                term = b.curvature(x, weights[id(b)])
+            if b in weights:
+                term = b.curvature(x, weights[b])
                 np.add.at(H, places, term.ravel()[kept])
         return H

@@ -354,7 +354,9 @@ def test_the_row_that_bounds_a_variable():
     rows = SparseProgram(program, (own,)).rows
     found = rows.row_of(np.arange(5))
     np.testing.assert_array_equal(found, [-1, 1, -1, 2, -1])
-    np.testing.assert_array_equal(rows.variable_of(found[[1, 3]]), [1, 3])
+    bounding, variables = rows.bounding([0, 1, 3])
+    np.testing.assert_array_equal(bounding, found[[1, 3]])
+    np.testing.assert_array_equal(variables, [1, 3])
 
 
 def test_fingerprint_tells_bounds_costs_and_structure_apart():
