@@ -486,7 +486,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "np.sqrt(grid.quadrature[used])[:, None]",
             "grid.quadrature[used][:, None]",
         ),
-        ("degree * tolerance.pitch_deg,", "tolerance.pitch_deg,"),
+        ("np.tile([1.0, 1.0, degree], 2)", "np.ones(6)"),
         ("variables[:, [NORMAL]],", "variables[:, [0]],"),
     ],
     "drake_exo/collocation/trial_program.py": [

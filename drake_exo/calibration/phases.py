@@ -48,6 +48,7 @@ from drake_exo.files import schema
 from drake_exo.files.output import Progress
 from drake_exo.files.tables import runs
 from drake_exo.measurement.trial import Trial, as_trials, saw_device
+from drake_exo.model.assembly import other_side
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.plant import Model
 from drake_exo.nlp.program import LinearKernel
@@ -243,7 +244,7 @@ class InteractionCalibration(PhaseProblem):
             cuff: [c for c in EVERY if c != NORMAL or cuff not in trial.cuffs]
             for cuff in self.bushings
         }
-        self.minimise_energy(movement, unmeasured, self.settings.noise.energy_j)
+        self.minimise_energy(movement, unmeasured)
         return movement
 
 
@@ -403,7 +404,7 @@ class PredictionProblem(PhaseProblem):
     @property
     def _end_reach(self) -> float:
         # Without unknown errors end states are given: nothing else fixes them.
-        return 0.0 if self.error_variables is None else super()._end_reach
+        return super()._end_reach if self.errors.unknowns else 0.0
 
     def _hold_ends(self, movement: TrialProgram, at: Trial) -> None:
         super()._hold_ends(movement, at)
@@ -430,7 +431,7 @@ class PredictionProblem(PhaseProblem):
         limit = self.settings.torque_limit_nm
         movement.bound(movement.torque, -limit, limit)
         everything = dict.fromkeys(self.bushings, EVERY)
-        self.minimise_energy(movement, everything, self.settings.noise.energy_j)
+        self.minimise_energy(movement, everything)
         if self._controller is not None:
             self._drive(movement)
         return movement
@@ -579,16 +580,15 @@ def mirrored(names: Coordinates) -> np.ndarray:
         InputError: a coordinate has no counterpart, or a device joint's is
             beside other joints of the person.
     """
-    other = {"left": "right", "right": "left"}
     found = np.zeros((len(names), len(names)))
     for i, name in enumerate(names.names):
-        parts = [other.get(part, part) for part in name.split("_")]
-        if i >= len(names.root) and parts == name.split("_"):
+        opposite = other_side(name)
+        if i >= len(names.root) and opposite == name:
             raise InputError(
                 f"prediction.ends: {name} stands for both legs at once, but a "
                 "periodic step needs two; say human: {legs: two}"
             )
-        found[i, names.index("_".join(parts))] = 1.0
+        found[i, names.index(opposite)] = 1.0
     human, device = names.columns(names.human), names.device_columns
     turned = names.turned_by @ found[np.ix_(human, human)]
     beside = found[np.ix_(device, device)] @ names.turned_by

@@ -3,13 +3,18 @@
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
 
-from drake_exo.calibration.error_model import Effects, ErrorModel, ErrorSizes
+from drake_exo.calibration.error_model import (
+    NO_ERRORS,
+    Effects,
+    ErrorModel,
+    ErrorSizes,
+)
 from drake_exo.calibration.settings import EndTolerance, TrackingNoise
 from drake_exo.calibration.start import settled
 from drake_exo.collocation.bushing_kernels import BushingKernel, EnergyKernel
@@ -192,7 +197,7 @@ class PhaseProblem(Compiles, ABC):
             values of `parameters` replace its own.
         parameters: those of the contact that are calibrated.
         settings: of the phase, with solver and noise.
-        errors: standard deviations of unknown errors' priors; None: no errors.
+        errors: standard deviations of unknown errors' priors; none by default.
             The contact's posterior is the prior of errors that it holds.
         refined: trial -> number of parts into which each interval of the
             settings' grid is split, or one number for all; in these trials
@@ -221,7 +226,7 @@ class PhaseProblem(Compiles, ABC):
         contact: ContactModel,
         parameters: list[ContactParameter],
         settings,
-        errors: ErrorSizes | None = None,
+        errors: ErrorSizes = NO_ERRORS,
         refined: Mapping[str, Parts] | None = None,
         program: BatchedProgram | None = None,
         solved: Sequence[Trial] = (),
@@ -254,7 +259,7 @@ class PhaseProblem(Compiles, ABC):
             cuff: BushingKernel(self.bushings[cuff], bushing.damping)
             for cuff, bushing in contact.bushings.items()
         }
-        self.errors = errors and ErrorModel(
+        self.errors = ErrorModel(
             model, self.trials, errors, contact.posterior, solved
         )
         self.program = program or BatchedProgram()
@@ -281,14 +286,14 @@ class PhaseProblem(Compiles, ABC):
         """Decision variables of one sphere or cuff."""
         return add_parameters(self.program, parameters)
 
-    def _add_errors(self) -> np.ndarray | None:
+    def _add_errors(self) -> np.ndarray:
         """Decision variables of the unknown errors, with their prior."""
-        if self.errors is None or not self.errors.unknowns:
-            return None
         prog, unknowns = self.program.prog, self.errors.unknowns
         variables = self.program.add_variables(
-            [u.name for u in unknowns], [u.sd for u in unknowns]
+            self.errors.names, [u.sd for u in unknowns]
         )
+        if not unknowns:
+            return variables
         names, mean, covariance = self._prior()
         # AddQuadraticErrorCost has no factor 1/2.
         weight = 0.5 * np.linalg.inv(covariance)
@@ -307,9 +312,7 @@ class PhaseProblem(Compiles, ABC):
 
     def _effects(self, at: Trial) -> Effects | None:
         """Effects of the unknown errors on a trial's signals, if any."""
-        if self.error_variables is None:
-            return None
-        return self.errors.effects(at)
+        return self.errors.effects(at) if self.errors.unknowns else None
 
     def variables_of(self, names: Sequence[str]) -> np.ndarray:
         """Decision variables of contact parameters by name, free or not.
@@ -353,12 +356,8 @@ class PhaseProblem(Compiles, ABC):
 
     def sphere_values(self, contact: ContactModel, body: str) -> np.ndarray:
         """Parameters (m, 5) of the spheres under a segment."""
-        return np.array(
-            [
-                [p.nominal for p in contact.fixed(sphere)]
-                for sphere in self.soles[body]
-            ]
-        )
+        spheres = contact.ground.spheres
+        return np.array([astuple(spheres[name]) for name in self.soles[body]])
 
     def law_inputs(
         self, contact: ContactModel, body: str, q, v, wrench=None
@@ -444,16 +443,15 @@ class PhaseProblem(Compiles, ABC):
         return movement
 
     def minimise_energy(
-        self, movement: TrialProgram, components: dict[str, list[int]], sigma
+        self, movement: TrialProgram, components: dict[str, list[int]]
     ) -> None:
         """Add the squared contact energy of components as a cost.
 
         Args:
             movement: the trial.
             components: cuff -> indices of components in `bushing.COMPONENTS`.
-            sigma: typical energy [J].
         """
-        grid = movement.grid
+        grid, sigma = movement.grid, self.settings.noise.energy_j
         # Residuals are squared: each is scaled by the root of its weight.
         used = grid.quadrature > 0.0
         for cuff, chosen in components.items():
@@ -479,11 +477,9 @@ class PhaseProblem(Compiles, ABC):
         contact = self.contact.with_values(
             dict(zip(names, values, strict=True))
         )
-        x = self.program.start()
-        for group, variables in self._variables.items():
-            x[self.program.indices(variables)] = [
-                p.nominal for p in contact.fixed(group)
-            ]
+        x, known = self.program.start(), contact.values()
+        index = self.program.indices(self.variables_of(known))
+        x[index] = list(known.values())
         for movement, trial in zip(self.movements, self.trials, strict=True):
             self._settle(x, movement, self._start(movement, trial), contact)
         return x
@@ -496,9 +492,7 @@ class PhaseProblem(Compiles, ABC):
         """
         x = self.program.start()
         # Parameters and errors come before all movements, in both programs.
-        shared = [*self._variables.values()]
-        if self.error_variables is not None:
-            shared.append(self.error_variables)
+        shared = [*self._variables.values(), self.error_variables]
         index = self.program.indices(np.concatenate(shared))
         x[index] = found.values[index]
         for movement, before, solved, ground in zip(
@@ -829,22 +823,12 @@ def bound_feet(
     movement: TrialProgram, at: Trial, tolerance: EndTolerance
 ) -> None:
     """Bound the feet's pose within a tolerance at both ends (II-C)."""
-
-    def or_free(value, factor=1.0):
-        return np.inf if value is None else factor * value
-
-    degree = np.deg2rad(1.0)
-    speed = or_free(tolerance.velocity_m_s)
-    reach = np.array(
-        [
-            tolerance.x_m,
-            tolerance.z_m,
-            degree * tolerance.pitch_deg,
-            speed,
-            speed,
-            or_free(tolerance.pitch_rate_deg_s, degree),
-        ]
-    )
+    speed, degree = tolerance.velocity_m_s, np.deg2rad(1.0)
+    pitch, rate = tolerance.pitch_deg, tolerance.pitch_rate_deg_s
+    reach = [tolerance.x_m, tolerance.z_m, pitch, speed, speed, rate]
+    # What is left free is None, in an array NaN.
+    reach = np.array(reach, float) * np.tile([1.0, 1.0, degree], 2)
+    reach[np.isnan(reach)] = np.inf
     for foot, measured in measured_feet(movement, at).items():
         ends, given = movement.poses[foot][[0, -1]], measured[[0, -1]]
         movement.bound(ends, given - reach, given + reach)

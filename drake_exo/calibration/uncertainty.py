@@ -142,12 +142,10 @@ def uncertainty(
     for movement in problem.movements:
         for part in _noise(movement, result, found, by_x, cutoff_hz, order):
             covariance += part @ part.T
-    if problem.error_variables is not None:
-        # The errors' prior counts as a measurement, too.
-        _, errors = problem.errors.prior()
-        index_of_errors = problem.program.indices(problem.error_variables)
-        by_errors = by_x[:, index_of_errors]
-        covariance += by_errors @ np.linalg.solve(errors, by_errors.T)
+    # The errors' prior counts as a measurement, too.
+    _, errors = problem.errors.prior()
+    by_errors = by_x[:, problem.program.indices(problem.error_variables)]
+    covariance += by_errors @ np.linalg.solve(errors, by_errors.T)
     chosen = [problem.parameters[k] for k in free]
     x = result.values[index]
     prior = np.array(
@@ -161,9 +159,9 @@ def uncertainty(
         found.by_gradient @ _regulariser(problem, program, y),
         np.minimum(prior, [p.span / 4.0 for p in chosen]),
         np.array([p.at_bound(v) for p, v in zip(chosen, x, strict=True)]),
-        0.0
-        if problem.error_variables is None
-        else np.array([_law(p, v) for p, v in zip(chosen, x, strict=True)]),
+        np.array([_law(p, v) for p, v in zip(chosen, x, strict=True)])
+        if problem.errors.unknowns
+        else 0.0,
         np.where([p.lower >= 0.0 for p in chosen], x, np.inf),
     )
 
@@ -198,8 +196,7 @@ def posterior(result: PhaseResult) -> Posterior:
     """
     problem = result.problem
     names = [problem.parameters[k].name for k in _free(result)]
-    if problem.error_variables is not None:
-        names += problem.errors.names
+    names += problem.errors.names
     program = result.compiled
     x = result.values
     y = program.restrict(x)
@@ -228,9 +225,7 @@ def _shared(result: PhaseResult) -> np.ndarray:
     """Indices of variables that all nodes share: free parameters, errors."""
     problem = result.problem
     variables = problem.parameter_variables[_free(result)]
-    if problem.error_variables is not None:
-        variables = np.r_[variables, problem.error_variables]
-    return problem.program.indices(variables)
+    return problem.program.indices(np.r_[variables, problem.error_variables])
 
 
 def _noise(movement: TrialProgram, result, found, by_x, cut, order):
@@ -633,7 +628,7 @@ def bands(result: PhaseResult) -> Bands | None:
     """Bands of a predicted trial; None without a calibration's posterior."""
     problem = result.problem
     known = problem.contact.posterior
-    if known is None or problem.error_variables is None:
+    if known is None or not problem.errors.unknowns:
         return None
     (movement,), (trial,) = problem.movements, result.trials
     program = result.compiled

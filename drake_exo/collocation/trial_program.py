@@ -31,6 +31,7 @@ from drake_exo.nlp.program import BatchedProgram
 # cost: about a newton by a body's mass, as much as an audit allows.
 ALTERNATING = 0.0125
 _FEWEST = 4  # mesh intervals of a trial
+_NOTHING = np.array([], object)
 
 Role = Literal["position", "velocity", "measured", "regulariser"]
 
@@ -254,22 +255,22 @@ class TrialProgram:
     def add_tracking_cost(
         self,
         terms: "list[Tracking]",
-        errors: np.ndarray | None = None,
+        errors: np.ndarray = _NOTHING,
         weights: np.ndarray | None = None,
     ) -> None:
         """Add 1/2 integral of sum ((A z + E e - target)/sigma)^2 dt as cost.
 
         Args:
             terms: signals z with their rows A and effects E.
-            errors: (k,) variables e that all terms with effects share.
+            errors: (k,) variables e that all terms with effects share; none
+                by default.
             weights: (n,) weights of the nodes [s]; the quadrature by default.
         """
         weights = self.grid.quadrature if weights is None else weights
         self.tracked.extend(terms)
         variables = np.hstack([t.variables for t in terms])
         shared = variables.shape[1]
-        if errors is not None:
-            variables = np.hstack([variables, self.at_nodes(errors)])
+        variables = np.hstack([variables, self.at_nodes(errors)])
         n, m = variables.shape
         Q, b, c = np.zeros((n, m, m)), np.zeros((n, m)), np.zeros(n)
         first = 0
