@@ -161,9 +161,8 @@ def _residuals(
     """Residual forces, moments (m, .) at one `fraction` of m intervals."""
     problem, found = result.problem, result.trials[index]
     grid = problem.movements[index].grid
-    times, q, v, a = grid.between(
-        fraction, found.q, found.v, found.a, found.jerk
-    )
+    times = grid.mesh[:-1] + fraction * grid.steps
+    q, v, a = grid.at(times, found.q, found.v, found.a, found.jerk)
 
     def at(values):
         return CubicSpline(found.times, values)(times)
@@ -172,8 +171,8 @@ def _residuals(
         return np.broadcast_to(values, (len(times), len(values)))
 
     cuffs = {c: at(force.components) for c, force in found.cuffs.items()}
-    ground = at(_by_segment(result, index))
-    inputs = [q, v, a, at(found.moments), ground, *cuffs.values()]
+    ground = {b: at(w) for b, w in _by_segment(result, index).items()}
+    inputs = [q, v, a, at(found.moments), *ground.values(), *cuffs.values()]
     inputs += [repeated(result.contact.bushings[c].origin) for c in cuffs]
     movement = problem.movements[index]
     dynamics = FORCE_UNIT * movement.dynamics.evaluate(
@@ -182,8 +181,7 @@ def _residuals(
     value = result.contact.values()
     is_angle = found.coordinates.is_angle
     forces, moments = [dynamics[:, ~is_angle]], [dynamics[:, is_angle]]
-    wrenches = np.split(ground, len(problem.soles), axis=1)
-    for body, wrench in zip(problem.soles, wrenches, strict=True):
+    for body, wrench in ground.items():
         x = problem.law_inputs(result.contact, body, q, v, wrench)
         contact = WRENCH_UNITS * problem.kernels[body].evaluate(x, None)
         forces.append(contact[:, :2])
@@ -197,18 +195,16 @@ def _residuals(
     return np.hstack(forces), np.hstack(moments)
 
 
-def _by_segment(result: PhaseResult, index: int) -> np.ndarray:
-    """A trial's ground reaction (n, 3 k) on the k segments that touch.
+def _by_segment(result: PhaseResult, index: int) -> dict[str, np.ndarray]:
+    """Segment that touches -> its ground reaction (n, 3) in a trial.
 
     Each foot's sum is the trial's; its segments share it as in the solution.
     """
-    problem, found = result.problem, result.trials[index]
-    parts = np.split(result.grounds[index], len(problem.soles), axis=1)
-    wrenches = dict(zip(problem.soles, parts, strict=True))
-    for side, bodies in problem.feet.items():
+    wrenches, found = dict(result.grounds[index]), result.trials[index]
+    for side, bodies in result.problem.feet.items():
         others = sum(wrenches[body] for body in bodies[1:])
         wrenches[bodies[0]] = found.soles[side].array - others
-    return np.hstack(list(wrenches.values()))
+    return wrenches
 
 
 def simulate(result: PhaseResult, index: int = 0) -> Trial:
@@ -244,7 +240,11 @@ def simulate(result: PhaseResult, index: int = 0) -> Trial:
     context.SetTime(times[0])
     context.SetContinuousState(np.hstack([found.q[0], found.v[0]]))
     motion = integrate(diagram, context, times[-1], accuracy=_ACCURACY)
-    grounds = _ground_ports(built)
+    several = len(built.contacts) > 1
+    grounds = {
+        body: "ground_reaction" + (f"_{body}" if several else "")
+        for body in built.contacts
+    }
     ports = ["state", "joint_torques", *grounds.values()]
     if built.bushings is not None:
         ports.append("interaction_forces")
@@ -304,13 +304,6 @@ def holding_gains(tree: PlanarTree, trial: Trial) -> tuple[float, float]:
     stiffness = 2.0 * force * height
     inertia = force / tree.gravity * height**2
     return stiffness, 2.0 * np.sqrt(stiffness * inertia)
-
-
-def _ground_ports(built) -> dict[str, str]:
-    """Segment that touches the ground -> port of its ground reaction."""
-    if len(built.contacts) == 1:
-        return dict.fromkeys(built.contacts, "ground_reaction")
-    return {body: f"ground_reaction_{body}" for body in built.contacts}
 
 
 def _borne(model, trial: Trial) -> list:

@@ -632,12 +632,12 @@ class _Wearing(PhaseProblem):
             total = ways @ x[self.program.indices(torques)]
             x[self.program.indices(self._total)] = total
 
-    def _under_segments(self, at: Trial) -> np.ndarray:
-        """Ground reaction (n, 3 k), a foot's all on its first segment."""
+    def _under_segments(self, at: Trial) -> dict[str, np.ndarray]:
+        """Ground reactions (n, 3), a foot's all on its first segment."""
         found = {body: np.zeros((len(at.times), 3)) for body in self.soles}
         for side, bodies in self.feet.items():
             found[bodies[0]] = at.soles[side].array
-        return np.hstack(list(found.values()))
+        return found
 
     def _fill_trial(
         self, x, movement, trial: Trial, contact, design: Design

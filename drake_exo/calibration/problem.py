@@ -113,13 +113,13 @@ class PhaseResult:
         ]
 
     @cached_property
-    def grounds(self) -> list[np.ndarray]:
-        """Each trial's ground reaction (n, 3 k) on the k segments that touch.
-
-        Side by side, in the order of `problem.soles`.
-        """
+    def grounds(self) -> list[dict[str, np.ndarray]]:
+        """Each trial's ground reactions: segment that touches -> (n, 3)."""
         indices = self.problem.program.indices
-        return [self.values[indices(m.ground)] for m in self.problem.movements]
+        return [
+            {body: self.values[indices(w)] for body, w in m.grounds.items()}
+            for m in self.problem.movements
+        ]
 
 
 def solved(
@@ -513,7 +513,7 @@ class PhaseProblem(Compiles, ABC):
                 movement,
                 motion,
                 at.moments,
-                CubicSpline(solved.times, ground)(times),
+                {b: CubicSpline(nodes, w)(times) for b, w in ground.items()},
                 {cuff: at.cuffs[cuff].components for cuff in movement.cuffs},
             )
         return x
@@ -536,9 +536,8 @@ class PhaseProblem(Compiles, ABC):
             forces += np.einsum(
                 "nc,ncq->nq", cuffs[cuff], kinematics.deflection_jacobian(terms)
             )
-        joints = self.tree.coordinates.joint_columns
-        ground = np.hstack([start.ground[body] for body in self.soles])
-        self._fill(x, movement, (q, v, a), forces[:, joints], ground, cuffs)
+        moments = forces[:, self.tree.coordinates.joint_columns]
+        self._fill(x, movement, (q, v, a), moments, start.ground, cuffs)
 
     def _cuff_at(self, x, cuff: str, q, contact: ContactModel):
         """A cuff's deflection and spring force at q (n, nq), placed as in x.
@@ -567,7 +566,7 @@ class PhaseProblem(Compiles, ABC):
             movement: the trial.
             motion: q, v, a, each (n, nq), at its nodes.
             moments: (n, nj) of the joints [N m].
-            ground: (n, 3 k) wrenches on the k segments that touch the ground.
+            ground: segment that touches the ground -> wrench (n, 3).
             cuffs: cuff -> force (n, 3) [N, N, N m].
         """
         grid = movement.grid
@@ -576,11 +575,11 @@ class PhaseProblem(Compiles, ABC):
             (grid.q, q),
             (grid.v, v),
             (grid.a, a),
-            (movement.ground, ground),
             (movement.torque, moments),
         ]
         for body, pose in movement.poses.items():
             filled.append((pose, self.tree.states(q, v, body)))
+            filled.append((movement.grounds[body], ground[body]))
         for cuff, force in cuffs.items():
             filled.append((movement.cuffs[cuff], force))
         for variables, numbers in filled:

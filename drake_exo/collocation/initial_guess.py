@@ -226,20 +226,24 @@ def sunk(kernel, spheres, places, pitch, force, clearance):
     return height, depths, static_force(kernel, spheres, depths)
 
 
+def _forces(kernel, spheres, depths, slip=0.0):
+    """Normal force and friction (n, m) of spheres that do not sink [N].
+
+    Args:
+        kernel: the law.
+        spheres: parameters (m, 5), or (5,) of one alone.
+        depths: (n, m) indentations [m].
+        slip: velocity [m/s].
+    """
+    k, c, _, _, r = spheres.T
+    return sphere_force(
+        kernel.law, depths, 0.0, slip, k, c, r, kernel.constants
+    )
+
+
 def static_force(kernel, spheres, depths):
     """Normal force (n, m) of spheres at rest at indentations (n, m) [N]."""
-    stiffness, dissipation, _, _, radius = spheres.T
-    force, _ = sphere_force(
-        kernel.law,
-        depths,
-        0.0,
-        0.0,
-        stiffness,
-        dissipation,
-        radius,
-        kernel.constants,
-    )
-    return force
+    return _forces(kernel, spheres, depths)[0]
 
 
 def slip_velocity(kernel, spheres, loads, force_x):
@@ -247,17 +251,7 @@ def slip_velocity(kernel, spheres, loads, force_x):
 
     def excess(slip):
         # Friction is proportional to the normal force: one sphere's will do.
-        stiffness, dissipation, _, _, radius = spheres[0]
-        normal, friction = sphere_force(
-            kernel.law,
-            0.01,
-            0.0,
-            slip,
-            stiffness,
-            dissipation,
-            radius,
-            kernel.constants,
-        )
+        normal, friction = _forces(kernel, spheres[0], 0.01, slip)
         return force_x - loads.sum(axis=1) * friction / normal
 
     return bisected(excess, -_FASTEST, _FASTEST, force_x.shape)

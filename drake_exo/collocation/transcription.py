@@ -105,19 +105,6 @@ class Transcription(ABC):
     def _add_to(self, program: BatchedProgram) -> None:
         """Add variables and collocation constraints."""
 
-    def between(self, fraction, q, v, a, jerk):
-        """State of a solution at one place in each mesh interval.
-
-        Args:
-            fraction: place in the interval, from 0 to 1.
-            q, v, a, jerk: values at the nodes.
-
-        Returns:
-            times (m,), q, v, a (m, n_dof) in each of m intervals.
-        """
-        when = self.mesh[:-1] + fraction * self.steps
-        return when, *self.at(when, q, v, a, jerk)
-
     @abstractmethod
     def at(self, when, q, v, a, jerk):
         """State of a solution at any times, by the grid's polynomials.

@@ -254,21 +254,23 @@ def test_a_simulation_is_of_the_solution_and_its_contact(predicted):
 def test_segments_of_a_foot_bear_what_the_foot_does():
     """What a trial says of it; the toes have what the solution gave them."""
     rng = np.random.default_rng(0)
-    grounds, feet = rng.standard_normal((4, 12)), rng.standard_normal((2, 4, 3))
+    wrenches = rng.standard_normal((4, 4, 3))
+    feet = rng.standard_normal((2, 4, 3))
     sides = {
         side: (f"foot_{side}", f"toes_{side}") for side in ("left", "right")
     }
-    soles = dict.fromkeys(b for bodies in sides.values() for b in bodies)
+    soles = [b for bodies in sides.values() for b in bodies]
+    grounds = dict(zip(soles, wrenches, strict=True))
     found = SimpleNamespace(
         soles={
             side: SimpleNamespace(array=force)
             for side, force in zip(sides, feet, strict=True)
         }
     )
-    problem = SimpleNamespace(soles=soles, feet=sides)
+    problem = SimpleNamespace(feet=sides)
     result = SimpleNamespace(problem=problem, trials=[found], grounds=[grounds])
-    parts = np.split(module._by_segment(result, 0), 4, axis=1)
-    for k in range(2):
-        np.testing.assert_allclose(parts[2 * k] + parts[2 * k + 1], feet[k])
-        toes = grounds[:, 6 * k + 3 : 6 * k + 6]
-        np.testing.assert_array_equal(parts[2 * k + 1], toes)
+    parts = module._by_segment(result, 0)
+    assert list(parts) == soles
+    for (foot, toes), force in zip(sides.values(), feet, strict=True):
+        np.testing.assert_allclose(parts[foot] + parts[toes], force)
+        np.testing.assert_array_equal(parts[toes], grounds[toes])
