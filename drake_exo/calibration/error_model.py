@@ -70,18 +70,21 @@ class Unknown:
     """Unknown size of one error.
 
     Attributes:
-        name: such as "skin.thigh.knee"; with `trial`, begins with its name.
-        unit: unit of the size.
+        kind: such as ("skin", "thigh", "knee").
         sd: standard deviation of its prior.
         trial: the trial it belongs to; None if all share it.
         mean: mean of its prior.
     """
 
-    name: str
-    unit: str
+    kind: tuple[str, ...]
     sd: float
     trial: str | None = None
     mean: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Such as "skin.thigh.knee"; that of a trial begins with its name."""
+        return ".".join(part for part in (self.trial, *self.kind) if part)
 
 
 @dataclass(frozen=True)
@@ -129,32 +132,27 @@ class ErrorModel:
         self._model = model
         names = model.coordinates
         found = [
-            Unknown(f"{kind}.{segment}.{joint}", unit, sd)
-            for kind, unit, sd in (
-                ("skin", "rad/rad", sizes.skin),
-                ("bend", "rad/rad^2", sizes.skin_bend),
-            )
+            Unknown((kind, segment, joint), sd)
+            for kind, sd in (("skin", sizes.skin), ("bend", sizes.skin_bend))
             for segment, joints in _moved(model).items()
             for joint in joints
         ]
         offset = float(np.deg2rad(sizes.encoder_offset_deg))
-        found += [Unknown(f"encoder.{d}", "rad", offset) for d in names.device]
-        found += [
-            Unknown(f"friction.{d}", "1", sizes.friction)
-            for d in names.device
-            if any(t.friction is not None for t in trials)
-        ]
+        found += [Unknown(("encoder", d), offset) for d in names.device]
+        if any(t.friction is not None for t in trials):
+            found += [
+                Unknown(("friction", d), sizes.friction) for d in names.device
+            ]
         for cuff in dict.fromkeys(c for t in trials for c in t.cuffs):
-            found.append(Unknown(f"mat.{cuff}.unseen", "1", sizes.mat_share))
-            found.append(Unknown(f"mat.{cuff}.offset", "N", sizes.mat_offset_n))
+            found.append(Unknown(("mat", cuff, "unseen"), sizes.mat_share))
+            found.append(Unknown(("mat", cuff, "offset"), sizes.mat_offset_n))
         for trial in trials:
             clocks = {"encoders": sizes.encoder_clock_s}
             if trial.cuffs:
                 clocks["pressure"] = sizes.mat_clock_s
             found += [
                 Unknown(
-                    f"{trial.name}.{CLOCKS[system]}",
-                    "s",
+                    (CLOCKS[system],),
                     sd,
                     trial.name,
                     -trial.shifts_s.get(system, 0.0),
@@ -196,9 +194,7 @@ class ErrorModel:
         for k, unknown in enumerate(self.unknowns):
             if unknown.trial not in (None, at.name):
                 continue
-            kind, *rest = unknown.name.split(".")
-            if unknown.trial is not None:  # follows the trial's name
-                kind = rest[-1]
+            kind, *rest = unknown.kind
             if kind in ("skin", "bend"):
                 segment, joint = rest
                 j = names.index(joint)
