@@ -430,15 +430,21 @@ class PhaseProblem(Compiles, ABC):
             self.equations,
             self.refined.get(trial.name, 1),
         )
+        grid = movement.grid
         for body, spheres in self.soles.items():
-            variables = [self._variables[name] for name in spheres]
-            movement.add_ground_contact(
-                body, self.kernels[body], np.concatenate(variables)
+            movement.add_law(
+                "foot-ground" + ("" if len(self.soles) == 1 else f" {body}"),
+                self.kernels[body],
+                [movement.poses[body], movement.grounds[body]],
+                np.concatenate([self._variables[name] for name in spheres]),
             )
         for cuff, law in self.laws.items():
             stiffness = self._variables[cuff][_NUM_ORIGIN:]
-            movement.add_bushing(
-                cuff, law, np.concatenate([self.places(cuff), stiffness])
+            movement.add_law(
+                f"bushing {cuff}",
+                law,
+                [grid.q, grid.v, movement.cuffs[cuff]],
+                np.concatenate([self.places(cuff), stiffness]),
             )
         return movement
 

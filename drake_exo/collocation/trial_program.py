@@ -12,20 +12,18 @@ from typing import Literal
 import numpy as np
 
 from drake_exo.collocation.bushing_kernels import UNITS as CUFF_UNITS
-from drake_exo.collocation.bushing_kernels import BushingKernel
 from drake_exo.collocation.kernels import (
     MOMENT_UNIT,
     WRENCH_UNITS,
     AppliedWrench,
     DynamicsKernel,
-    FootGroundKernel,
     PoseKernel,
 )
 from drake_exo.collocation.transcription import TRANSCRIPTIONS, Transcription
 from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.parameters import ContactParameter
 from drake_exo.model.planar_tree import PlanarTree
-from drake_exo.nlp.program import BatchedProgram
+from drake_exo.nlp.program import BatchedProgram, Kernel
 
 # Typical size of alternating accelerations of the root [m/s^2, rad/s^2] in the
 # cost: about a newton by a body's mass, as much as an audit allows.
@@ -190,39 +188,17 @@ class TrialProgram:
             columns = [f"{self.name} {name}{what}" for name in of]
             self.program.label(kind, variables, columns, at, units)
 
-    def add_ground_contact(
-        self, body: str, kernel: FootGroundKernel, parameters: np.ndarray
-    ) -> None:
-        """Tie the ground reaction of a body to the contact law.
+    def add_law(self, what: str, law: Kernel, variables, parameters) -> None:
+        """Tie variables of all nodes to a law, whose outputs become zero.
 
         Args:
-            body: the body that touches the ground.
-            kernel: the law.
-            parameters: decision variables of the spheres, in its order.
+            what: what is tied, for reports.
+            law: its kernel.
+            variables: arrays (n, .), its first inputs.
+            parameters: (k,) variables that all nodes share, its last inputs.
         """
-        variables = np.hstack(
-            [self.poses[body], self.grounds[body], self.at_nodes(parameters)]
-        )
-        where = "" if len(self.grounds) == 1 else f" {body}"
-        self.program.add_constraints(
-            f"{self.name} foot-ground{where}", kernel, variables
-        )
-
-    def add_bushing(self, cuff: str, kernel: BushingKernel, parameters) -> None:
-        """Tie the force of one cuff to its law.
-
-        Args:
-            cuff: name of the cuff.
-            kernel: the law.
-            parameters: its decision variables: places, stiffness, slip.
-        """
-        grid = self.grid
-        variables = [grid.q, grid.v, self.cuffs[cuff]]
-        self.program.add_constraints(
-            f"{self.name} bushing {cuff}",
-            kernel,
-            np.hstack([*variables, self.at_nodes(parameters)]),
-        )
+        inputs = np.hstack([*variables, self.at_nodes(parameters)])
+        self.program.add_constraints(f"{self.name} {what}", law, inputs)
 
     def foot(self, side: str) -> np.ndarray:
         """Ground reaction (n, 3 k) on the k segments of a foot.

@@ -113,7 +113,8 @@ def standing(human, law, transcription):
         program, "rise1", human.tree, 0.5, 20.0, transcription
     )
     kernel = FootGroundKernel(contact.ground)
-    movement.add_ground_contact("foot", kernel, variables)
+    foot = [movement.poses["foot"], movement.grounds["foot"]]
+    movement.add_law("foot-ground", kernel, foot, variables)
     n = len(movement.grid.times)
     still = np.zeros((n, 6))
     posture = np.tile(_STANDING, (n, 1))
