@@ -968,13 +968,16 @@ def ground_terms(
     """
     terms = []
     for side, measured in at.soles.items():
-        variables = movement.foot(side)
         loaded = measured.is_loaded
         # Segments of one foot bear its force together.
-        wrenches = variables.reshape(len(variables), -1, 3)
-        forces = wrenches[:, :, :2].reshape(len(variables), -1)
-        loads = wrenches[:, :, 1:].reshape(len(variables), -1)
-        added = np.tile(np.eye(2), wrenches.shape[1])
+        wrenches = [
+            wrench
+            for body, wrench in movement.grounds.items()
+            if side == "both" or body.endswith(f"_{side}")
+        ]
+        forces = np.hstack([wrench[:, :2] for wrench in wrenches])
+        loads = np.hstack([wrench[:, 1:] for wrench in wrenches])
+        added = np.tile(np.eye(2), len(wrenches))
         rows = np.ones((len(loaded), 1, loads.shape[1]))
         rows[:, 0, 0::2] = np.where(loaded, measured.cop_x, 0.0)[:, None]
         # The CoP of a foot that is always in the air is not tracked.

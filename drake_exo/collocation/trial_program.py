@@ -200,19 +200,6 @@ class TrialProgram:
         inputs = np.hstack([*variables, self.at_nodes(parameters)])
         self.program.add_constraints(f"{self.name} {what}", law, inputs)
 
-    def foot(self, side: str) -> np.ndarray:
-        """Ground reaction (n, 3 k) on the k segments of a foot.
-
-        Args:
-            side: "left", "right", or "both" for all.
-        """
-        own = [
-            wrench
-            for body, wrench in self.grounds.items()
-            if side == "both" or body.endswith(f"_{side}")
-        ]
-        return np.hstack(own)
-
     def bound(self, variables, lower, upper) -> None:
         """Bound variables of this trial; equal bounds fix them.
 

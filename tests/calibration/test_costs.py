@@ -200,7 +200,7 @@ def test_a_mean_force_is_over_time_wherever_the_grid_is_finer():
         movement = SimpleNamespace(
             coordinates=names,
             torque=q[:, 3:],
-            foot=lambda side: np.zeros((len(t), 3)),
+            grounds={"foot_left": np.zeros((len(t), 3))},
         )
         terms = [
             *ground_terms(movement, at, InteractionNoise()),
