@@ -148,8 +148,14 @@ def uncertainty(
     covariance += by_errors @ np.linalg.solve(errors, by_errors.T)
     chosen = [problem.parameters[k] for k in free]
     x = result.values[index]
+    # In the parameter's own unit, also of a prior of logarithms.
     prior = np.array(
-        [_prior_sd(p, value) for p, value in zip(chosen, x, strict=True)]
+        [
+            np.inf
+            if p.prior_sd is None
+            else p.prior_sd * (v if p.log_prior else 1.0)
+            for p, v in zip(chosen, x, strict=True)
+        ]
     )
     by_prior = by_x[:, index] / prior
     covariance += by_prior @ by_prior.T
@@ -176,13 +182,6 @@ def _law(p: ContactParameter, value: float) -> float:
     if p.name.endswith("_stiffness"):
         return _LAW_SHARE * abs(value)
     return _LAW_ORIGIN_M if ".origin" in p.name else 0.0
-
-
-def _prior_sd(p: ContactParameter, value: float) -> float:
-    """Standard deviation of a prior about a value, in the parameter's unit."""
-    if p.prior_sd is None:
-        return np.inf
-    return p.prior_sd * (value if p.log_prior else 1.0)
 
 
 def posterior(result: PhaseResult) -> Posterior:

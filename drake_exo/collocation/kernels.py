@@ -404,8 +404,7 @@ class SoleKernel:
     """
 
     def __init__(self, spheres: np.ndarray):
-        _, _, *place, self._radius = np.asarray(spheres).T
-        self._x, self._z = place
+        _, _, self._x, self._z, self._radius = np.asarray(spheres).T
         self.sparsity = np.zeros((len(spheres), 6), bool)
         self.sparsity[:, 1:3] = True
 

@@ -99,18 +99,13 @@ def declare_force_ports(system: LeafSystem, T, calc) -> None:
     )
 
 
-def _produced(calc) -> ValueProducer:
-    """A producer of the Python object that `calc` computes."""
-    return ValueProducer(
+def _cached(system: LeafSystem, name: str, calc, *tickets):
+    """Declares a cache entry for a Python object; by default of all sources."""
+    producer = ValueProducer(
         allocate=lambda: AbstractValue.Make(object()), calc=calc
     )
-
-
-def _declare_values(system: LeafSystem, calc):
-    """Declares a cache entry that depends on numeric parameters alone."""
-    return system.DeclareCacheEntry(
-        "values", _produced(calc), {system.all_parameters_ticket()}
-    )
+    sources = set(tickets) or {system.all_sources_ticket()}
+    return system.DeclareCacheEntry(name, producer, sources)
 
 
 class BodyState(NamedTuple):
@@ -266,11 +261,11 @@ class _FootGroundContact:
         declare_force_ports(self, T, self._calc_spatial_forces)
         for values in (*parameters.spheres.values(), parameters.constants):
             self.DeclareNumericParameter(BasicVector_[T](astuple(values)))
-        self._values = _declare_values(self, self._calc_values)
-        # Shared by all outputs, so wrenches are computed once.
-        self._wrenches = self.DeclareCacheEntry(
-            "wrenches", _produced(self._calc_wrenches)
+        self._values = _cached(
+            self, "values", self._calc_values, self.all_parameters_ticket()
         )
+        # Shared by all outputs, so wrenches are computed once.
+        self._wrenches = _cached(self, "wrenches", self._calc_wrenches)
         self.DeclareVectorOutputPort(
             "ground_reaction", 3, self._calc_ground_reaction
         )
@@ -420,7 +415,9 @@ class _Bushings:
         declare_force_ports(self, T, self._calc_spatial_forces)
         for values in parameters.values():
             self.DeclareNumericParameter(BasicVector_[T](astuple(values)))
-        self._values = _declare_values(self, self._calc_values)
+        self._values = _cached(
+            self, "values", self._calc_values, self.all_parameters_ticket()
+        )
         size = len(COMPONENTS) * len(parameters)
         for name, read in (
             ("interaction_forces", lambda own, d, force: force),

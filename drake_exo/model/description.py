@@ -382,7 +382,10 @@ def exoskeleton_sdf(
         if name in _CUFF_VISUALS:
             usual = np.array(nominal.cuff_m(name)) * (x, z)
             moved = np.array(exoskeleton.cuff_m(name)) - usual
-            _move_cuff(model, name, moved)
+            for visual in _cuff_visuals(_link(model, f"exo_{name}"), name):
+                pose = _pose(visual)
+                pose[[0, 2]] += moved
+                _set_pose(visual, pose)
     for joint, below in (("knee", "shank"), ("hip", "thigh")):
         x, z = getattr(exoskeleton, f"{joint}_off_m")
         z += getattr(exoskeleton, below).length_m
@@ -392,13 +395,10 @@ def exoskeleton_sdf(
     return _text(model)
 
 
-def _move_cuff(model: ET.Element, segment: str, moved: np.ndarray) -> None:
-    """Shift a cuff's visuals by (x, z) [m] from where they usually are."""
-    for visual in _link(model, f"exo_{segment}").findall("visual"):
-        if visual.get("name").endswith(_CUFF_VISUALS[segment]):
-            pose = _pose(visual)
-            pose[[0, 2]] += moved
-            _set_pose(visual, pose)
+def _cuff_visuals(link: ET.Element, segment: str) -> list[ET.Element]:
+    """Visuals of a device's link that draw its cuff."""
+    ends = _CUFF_VISUALS[segment]
+    return [v for v in link.findall("visual") if v.get("name").endswith(ends)]
 
 
 def hinged(text: str) -> str:
@@ -423,9 +423,8 @@ def without_cuffs(text: str, segments: Sequence[str]) -> str:
     model = ET.fromstring(text)
     for segment in segments:
         link = _link(model, f"exo_{segment}")
-        for visual in link.findall("visual"):
-            if visual.get("name").endswith(_CUFF_VISUALS[segment]):
-                link.remove(visual)
+        for visual in _cuff_visuals(link, segment):
+            link.remove(visual)
         top = model.find("model")
         for frame in top.findall("frame"):
             if frame.get("name") == f"exo_{segment}_cuff":

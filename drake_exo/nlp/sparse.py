@@ -544,7 +544,13 @@ class Block:
             n, n_in = z.shape
             H = np.zeros((n, n_in, n_in))
             for k in self._curved_inputs:
-                H[:, k] = _directional(kernel, z, data, weights, k)
+                h = 1e-6 * np.maximum(1.0, np.abs(z[:, k]))
+                up, down = z.copy(), z.copy()
+                up[:, k] += h
+                down[:, k] -= h
+                J = kernel.jacobian(up, data) - kernel.jacobian(down, data)
+                J /= (2.0 * h)[:, None, None]
+                H[:, k] = np.einsum("no,noi->ni", weights, J)
             H = 0.5 * (H + H.transpose(0, 2, 1))
         # Often most inputs, and the unknowns behind them, are not curved.
         inputs = self._curved_inputs
@@ -556,17 +562,6 @@ class Block:
         else:
             half = H @ local
         return np.swapaxes(local, -1, -2) @ half
-
-
-def _directional(kernel, z, data, weights, k):
-    """d/dz_k of weights^T J (n, n_in) by central differences."""
-    h = 1e-6 * np.maximum(1.0, np.abs(z[:, k]))
-    up, down = z.copy(), z.copy()
-    up[:, k] += h
-    down[:, k] -= h
-    J = kernel.jacobian(up, data) - kernel.jacobian(down, data)
-    J /= (2.0 * h)[:, None, None]
-    return np.einsum("no,noi->ni", weights, J)
 
 
 def _numbered(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -152,9 +152,14 @@ def write_page(
     if not clips:
         raise ValueError("a page needs at least one clip")
     head, body_end, tail = meshcat_page.rpartition("</body>")
+    speeds = "".join(
+        f'<option value="{s:g}"{" selected" if s == page.speed else ""}>'
+        f"{s:g} × real time</option>"
+        for s in _SPEEDS
+    )
     inserted = (
         f"<style>{_asset('player.css')}</style>\n{_card(page, clips)}"
-        f"{_BAR.format(speeds=_speeds(page.speed))}"
+        f"{_BAR.format(speeds=speeds)}"
         f"<script>const PLAYER = {_data(page, clips)};</script>\n"
         f"<script>{_asset('player.js')}</script>\n"
     )
@@ -177,14 +182,6 @@ _SPEEDS = (0.1, 0.2, 0.5, 1.0)
 
 def _asset(name: str) -> str:
     return files("drake_exo.player").joinpath(name).read_text("utf-8")
-
-
-def _speeds(chosen: float) -> str:
-    return "".join(
-        f'<option value="{s:g}"{" selected" if s == chosen else ""}>'
-        f"{s:g} × real time</option>"
-        for s in _SPEEDS
-    )
 
 
 def _card(page: Page, clips: Sequence[Clip]) -> str:
