@@ -81,8 +81,7 @@ class DynamicsKernel:
         pattern[:, : 3 * nq] = True
         # Inverse dynamics does not depend on the root's place and velocity.
         x, z, _ = self._root
-        for column in (x, z, nq + x, nq + z):
-            pattern[:, column] = False
+        pattern[:, [x, z, nq + x, nq + z]] = False
         first = self._cuts[2]
         pattern[self._joints, first + np.arange(len(self._joints))] = True
         for i, body in enumerate(self._bodies):
@@ -159,11 +158,9 @@ class PoseKernel:
         self._nq = nq = tree.num_positions
         moved = tree.moving(body)
         pattern = np.zeros((6, 2 * nq + 6), bool)
-        for row, column in ((0, 0), (1, 1)):
-            pattern[row, :nq] = moved
-            pattern[row, column] = True
-            pattern[3 + row, :nq] = pattern[3 + row, nq : 2 * nq] = moved
-            pattern[3 + row, nq + column] = True
+        pattern[:2, :nq] = pattern[3:5, :nq] = moved
+        pattern[3:5, nq : 2 * nq] = moved
+        pattern[[0, 1, 3, 4], [0, 1, nq, nq + 1]] = True
         pattern[2, :nq] = pattern[5, nq : 2 * nq] = tree.turning(body) != 0.0
         pattern[np.arange(6), 2 * nq + np.arange(6)] = True
         self.sparsity = pattern
@@ -264,33 +261,29 @@ class FootGroundKernel:
         J[:, np.arange(3), np.arange(6, 9)] = -1.0
         off = -x[:, 6:8]
         for s in range(self.num_spheres):
-            off += self._add_sphere(J, x, s)
+            p, motion, by_inputs = self._sphere(x, s)
+            wrench, d = sphere_wrench_derivatives(
+                self.law, *motion, p[0], p[1], p[4], self.constants
+            )
+            # (n, 3, 8): force and moment by all eight arguments.
+            d_moment = (
+                wrench.point_z * d[0]
+                - wrench.point_x * d[1]
+                + wrench.force_x * d[3]
+                - wrench.force_z * d[2]
+            )
+            D = np.stack([d[0], d[1], d_moment]).transpose(2, 0, 1)
+            by_motion = D[:, :, :5] @ by_inputs
+            J[:, :, :6] += by_motion[:, :, :6]
+            first = 9 + len(SPHERE_PARAMETERS) * s
+            J[:, :, first : first + 2] += D[:, :, 5:7]
+            J[:, :, first + 2 : first + 4] += by_motion[:, :, 6:]
+            J[:, :, first + 4] += D[:, :, 7]
+            off += np.column_stack([wrench.force_x, wrench.force_z])
         J[:, 2] -= x[:, [1]] * J[:, 0] - x[:, [0]] * J[:, 1]
         J[:, 2, 0] += off[:, 1]
         J[:, 2, 1] -= off[:, 0]
         return J / WRENCH_UNITS[:, None]
-
-    def _add_sphere(self, J, x, s):
-        """Add a sphere's derivatives; returns its force (n, 2)."""
-        p, motion, by_inputs = self._sphere(x, s)
-        wrench, d = sphere_wrench_derivatives(
-            self.law, *motion, p[0], p[1], p[4], self.constants
-        )
-        # (n, 3, 8): force and moment by all eight arguments.
-        d_moment = (
-            wrench.point_z * d[0]
-            - wrench.point_x * d[1]
-            + wrench.force_x * d[3]
-            - wrench.force_z * d[2]
-        )
-        D = np.stack([d[0], d[1], d_moment]).transpose(2, 0, 1)
-        by_motion = D[:, :, :5] @ by_inputs
-        J[:, :, :6] += by_motion[:, :, :6]
-        first = 9 + len(SPHERE_PARAMETERS) * s
-        J[:, :, first : first + 2] += D[:, :, 5:7]
-        J[:, :, first + 2 : first + 4] += by_motion[:, :, 6:]
-        J[:, :, first + 4] += D[:, :, 7]
-        return np.column_stack([wrench.force_x, wrench.force_z])
 
     def curvature(self, x, weights, data):
         """sum_i weights_i d2 f_i/dx2, (n, n_in, n_in).
