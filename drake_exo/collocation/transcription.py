@@ -48,13 +48,6 @@ class Transcription(ABC):
             these is split, or one number for all.
     """
 
-    times: np.ndarray
-    quadrature: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    jerk: np.ndarray
-
     def __init__(
         self, program, name, num_dof, duration, num_intervals, parts=1
     ):

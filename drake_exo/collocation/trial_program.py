@@ -102,10 +102,19 @@ class TrialProgram:
         parts = np.split(self.ground, len(bodies), axis=1)
         self.grounds = dict(zip(bodies, parts, strict=True))
         self.poses: dict[str, np.ndarray] = {}
+        grid, root = self.grid, tree.coordinates.root_columns
         for body in bodies:
-            self._add_pose(tree, body)
+            if body == tree.root:
+                pose = np.hstack([grid.q[:, root], grid.v[:, root]])
+            else:
+                pose = self.new(f"{body} pose", np.ones(6))
+                program.add_constraints(
+                    f"{name} pose of {body}",
+                    PoseKernel(tree, body),
+                    np.hstack([grid.q, grid.v, pose]),
+                )
+            self.poses[body] = pose
         self._label()
-        grid = self.grid
         inputs = [grid.q, grid.v, grid.a, self.torque, self.ground]
         bushings, self.cuffs = bushings or {}, {}
         if bushings:
@@ -126,20 +135,6 @@ class TrialProgram:
             self.dynamics,
             np.hstack(inputs),
             data=self.loads(grid.times),
-        )
-
-    def _add_pose(self, tree: PlanarTree, body: str) -> None:
-        """Add pose and rates of a body that touches the ground."""
-        grid = self.grid
-        if body == tree.root:
-            root = self.coordinates.root_columns
-            self.poses[body] = np.hstack([grid.q[:, root], grid.v[:, root]])
-            return
-        self.poses[body] = self.new(f"{body} pose", np.ones(6))
-        self.program.add_constraints(
-            f"{self.name} pose of {body}",
-            PoseKernel(tree, body),
-            np.hstack([grid.q, grid.v, self.poses[body]]),
         )
 
     def new(self, what: str, units, rows: int | None = None) -> np.ndarray:
