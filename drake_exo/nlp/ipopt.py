@@ -77,16 +77,12 @@ class SolverOptions:
             skipped if bounds are known that may be in the way, is adaptive and
             never given up. `near_solution` puts "near" before them, for starts
             near a solution: the barrier begins low, and bounds do not repel.
-        pivot_order: MUMPS' ordering; 6 (QAMD) measured fastest on collocation
-            problems with contact: it sets aside the rows of unknowns that all
-            nodes share, over which 0 (AMD) takes up to a tenth of a solve.
         extra: further IPOPT options by name.
     """
 
     tolerance: float = 1e-6
     max_iterations: int = 300
     strategies: tuple[str, ...] = ("adaptive", "monotone", "exact", "patient")
-    pivot_order: int = 6
     extra: dict = field(default_factory=dict)
 
     def near_solution(self) -> "SolverOptions":
@@ -409,7 +405,10 @@ def _ipopt_options(options, strategy) -> dict:
         "print_level": 0,
         "sb": "yes",
         "linear_solver": "mumps",
-        "mumps_pivot_order": options.pivot_order,
+        # QAMD measured fastest on collocation problems with contact: it sets
+        # aside the rows of unknowns that all nodes share, over which 0 (AMD)
+        # takes up to a tenth of a solve.
+        "mumps_pivot_order": 6,
         # MUMPS' matching takes the longer the more rows share a parameter, up
         # to half of a solve, and has never saved an iteration.
         "mumps_permuting_scaling": 0,

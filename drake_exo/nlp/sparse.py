@@ -38,6 +38,7 @@ class SparseProgram:
 
     Attributes:
         unknowns: meaning of y, and map to the program's variables.
+        expand, restrict: those of `unknowns`.
         rows: meaning of the rows of g(y).
         num_unknowns: length of y.
         num_constraints: rows of g(y).
@@ -69,14 +70,15 @@ class SparseProgram:
         self.evaluations: dict[str, int] = defaultdict(int)
         self._cache: dict[str, tuple] = {}
         self._is_near = False
-        self.unknowns = Unknowns(program.prog, substitutions)
-        self.num_unknowns = self.unknowns.count
-        self.y_lower, self.y_upper = self.unknowns.lower, self.unknowns.upper
-        self.rows = ConstraintRows(program, self.unknowns)
+        self.unknowns = unknowns = Unknowns(program.prog, substitutions)
+        self.num_unknowns = unknowns.count
+        self.expand, self.restrict = unknowns.expand, unknowns.restrict
+        self.y_lower, self.y_upper = unknowns.lower, unknowns.upper
+        self.rows = ConstraintRows(program, unknowns)
         self.g_lower, self.g_upper = self.rows.lower, self.rows.upper
         self.num_constraints = len(self.g_lower)
         self._moved = np.zeros(self.rows.linear.shape[0])  # by `move_fixed`
-        matrix = self.unknowns.matrix
+        matrix = unknowns.matrix
         self.residual_blocks = [Block(b, matrix) for b in program.residuals]
         self._costs = [Block(b, matrix) for b in program.loose_costs()]
         # Kept in program variables: in a basis of splines the large
@@ -94,14 +96,6 @@ class SparseProgram:
         if self.exact_hessian != exact:
             self.exact_hessian = exact
             self._lay_out_hessian()
-
-    def expand(self, y: np.ndarray) -> np.ndarray:
-        """See Unknowns."""
-        return self.unknowns.expand(y)
-
-    def restrict(self, x: np.ndarray) -> np.ndarray:
-        """See Unknowns."""
-        return self.unknowns.restrict(x)
 
     def move_fixed(self, variable: int, step: float) -> None:
         """Change the value of a fixed program variable; y stays."""
