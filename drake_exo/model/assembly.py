@@ -74,13 +74,10 @@ class Person:
     @property
     def soles(self) -> dict[str, tuple[str, ...]]:
         """Segment -> names of its contact spheres by default."""
-        if self.toes == "rigid":
-            return {f"foot{end}": ("heel", "toe") for end in self.suffixes}
-        found: dict[str, tuple[str, ...]] = {}
-        for end in self.suffixes:
-            found[f"foot{end}"] = ("heel", "ball")
-            found[f"toes{end}"] = ("toe",)
-        return found
+        parts = {"foot": ("heel", "toe")}
+        if self.toes == "hinged":
+            parts = {"foot": ("heel", "ball"), "toes": ("toe",)}
+        return {p + end: parts[p] for end in self.suffixes for p in parts}
 
     def feet(self, bodies) -> dict[str, tuple[str, ...]]:
         """Side ("both" for one leg) -> those of the bodies on that side."""
@@ -268,11 +265,10 @@ class Assembly:
     @property
     def spheres(self) -> dict[str, dict[str, Point | None]]:
         """Segment -> sphere -> place (x, z) [m], None for the usual one."""
-        found = {}
-        for body, named in (self.ground or self.human.soles).items():
-            own = named if isinstance(named, dict) else dict.fromkeys(named)
-            found[body] = dict(own)
-        return found
+        return {
+            body: dict(own) if isinstance(own, dict) else dict.fromkeys(own)
+            for body, own in (self.ground or self.human.soles).items()
+        }
 
     @property
     def closed(self) -> tuple[str, ...]:
