@@ -245,29 +245,21 @@ def simulate(result: PhaseResult, index: int = 0) -> Trial:
         body: "ground_reaction" + (f"_{body}" if several else "")
         for body in built.contacts
     }
-    ports = ["state", "joint_torques", *grounds.values()]
-    if built.bushings is not None:
-        ports.append("interaction_forces")
-    rows = {name: [] for name in ports}
+    held = built.bushings.parameters() if built.bushings else {}
+    rows = {name: [] for name in ("state", "joint_torques", *grounds.values())}
+    if held:
+        rows["interaction_forces"] = []
     for time in times:
         known = time <= motion.t_max
         context.SetTime(time)
         context.SetContinuousState(motion(min(time, motion.t_max)))
-        for name in ports:
+        for name, values in rows.items():
             value = diagram.GetOutputPort(name).Eval(context)
-            rows[name].append(value if known else np.nan * value)
-    q, v = np.split(np.array(rows["state"]), 2, axis=1)
-    cuffs = {}
-    if built.bushings is not None:
-        names = built.bushings.parameters()
-        forces = np.array(rows["interaction_forces"])
-        parts = np.split(forces, len(names), axis=1)
-        cuffs = {
-            cuff: CuffForce.of(part)
-            for cuff, part in zip(names, parts, strict=True)
-        }
+            values.append(value if known else np.nan * value)
+    signals = {name: np.array(values) for name, values in rows.items()}
+    q, v = np.split(signals["state"], 2, axis=1)
     feet = {
-        side: PlanarWrench.of(sum(np.array(rows[grounds[b]]) for b in bodies))
+        side: PlanarWrench.of(sum(signals[grounds[b]] for b in bodies))
         for side, bodies in result.problem.feet.items()
     }
     return Trial(
@@ -280,8 +272,11 @@ def simulate(result: PhaseResult, index: int = 0) -> Trial:
         PlanarWrench.of(sum(w.array for w in feet.values())),
         source="simulated",
         feet=feet if found.feet else {},
-        moments=np.array(rows["joint_torques"]),
-        cuffs=cuffs,
+        moments=signals["joint_torques"],
+        cuffs={
+            cuff: CuffForce.of(signals["interaction_forces"][:, 3 * i :][:, :3])
+            for i, cuff in enumerate(held)
+        },
     )
 
 

@@ -1082,29 +1082,20 @@ def torque_terms(
     by_errors = effects and effects.moments
     if answer is None or not device:
         return [Tracking(movement.torque, at.moments, sigma, effects=by_errors)]
-    own, rows = names.is_device_joint, np.eye(len(names.joints))
+    own, m = names.is_device_joint, names.num_joints
     if effects is not None:
         by_errors = by_errors.copy()
         told = effects.q[:, names.device_columns]
         by_errors[:, own] += answer.springs[:, None] * told
-    slope, off = answer.at(at.times)
-    by = np.zeros((*at.moments.shape, own.sum()))
-    by[:, own] = -slope
-    there = np.zeros(at.moments.shape)
-    there[:, own] = off
+    slope, there = answer.at(at.times)
+    rows = np.zeros((*at.moments.shape, m + own.sum()))
+    rows[:, :, :m] = np.eye(m)
+    rows[:, own, m:] = -slope
+    target = at.moments.copy()
+    target[:, own] -= there
     angles = movement.grid.q[:, names.device_columns]
-    return [
-        Tracking(
-            np.hstack([movement.torque, angles]),
-            at.moments - there,
-            sigma,
-            np.concatenate(
-                [np.broadcast_to(rows, by.shape[:2] + rows.shape[:1]), by],
-                axis=2,
-            ),
-            effects=by_errors,
-        )
-    ]
+    variables = np.hstack([movement.torque, angles])
+    return [Tracking(variables, target, sigma, rows, effects=by_errors)]
 
 
 def normal_force_terms(

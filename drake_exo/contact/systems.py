@@ -594,7 +594,6 @@ def Chair_(T):
                     f"({len(times)}, 3)"
                 )
             self._bodies = dict(bodies)
-            self._span = float(times[0]), float(times[-1])
             self._spline = CubicSpline(times, wrench)
             declare_force_ports(self, T, self._calc_spatial_forces)
             self.DeclareVectorOutputPort(
@@ -610,7 +609,7 @@ def Chair_(T):
         def _wrench(self, context) -> np.ndarray:
             t = context.get_time()
             t = t if T is float else ExtractValue(np.array([t])).item()
-            return self._spline(min(max(t, self._span[0]), self._span[1]))
+            return self._spline(np.clip(t, *self._spline.x[[0, -1]]))
 
         def _calc_spatial_forces(self, context, output):
             F_x, F_z, M_y = self._wrench(context)
