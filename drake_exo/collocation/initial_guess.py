@@ -327,7 +327,20 @@ def settle_rolling(
     q[~loaded, 1] += np.maximum(_CLEAR_M - lowest[~loaded], 0.0)
     v = np.gradient(q, times, axis=0)
     for start, end in runs(loaded):
-        _creep(kernel, spheres, places, times, q, v, ground, slice(start, end))
+        if end - start < 2:
+            continue
+        # It slips so that friction gives F_x.
+        rows = slice(start, end)
+        _, up = _reach(places[rows], q[rows, 2])
+        depths = spheres[:, _RADIUS] - up - q[rows, 1, None]
+        force = static_force(kernel, spheres, depths)
+        height = _height(kernel.law, spheres, force, depths)
+        slip = slip_velocity(kernel, spheres, force, ground[rows, 0])
+        v[rows, 0] = slip - (q[rows, 1] - height) * v[rows, 2]
+        path = cumulative_trapezoid(v[rows, 0], times[rows], initial=0.0)
+        # The mean place, weighted by load, stays the measured one.
+        weight = ground[rows, 1]
+        q[rows, 0] = path + np.average(q[rows, 0] - path, weights=weight)
     q[:, 0] = foot[:, 0] + _bridged(q[:, 0] - foot[:, 0], loaded, times)
     v[~loaded] = np.gradient(q, times, axis=0)[~loaded]
     return q, v
@@ -348,22 +361,6 @@ def _pitches(kernel, spheres, places, q, ground, loaded):
     turn = bisected(behind, -_PITCH_RAD, _PITCH_RAD, centre.shape, _PITCHES)
     # A foot on one end of its sole cannot reach the CoP by turning.
     return np.where(np.abs(turn) < 0.99 * _PITCH_RAD, turn, 0.0)
-
-
-def _creep(kernel, spheres, places, times, q, v, ground, rows) -> None:
-    """Let a loaded foot slip so that friction gives F_x, in place."""
-    if rows.stop - rows.start < 2:
-        return
-    _, up = _reach(places[rows], q[rows, 2])
-    depths = spheres[:, _RADIUS] - up - q[rows, 1, None]
-    force = static_force(kernel, spheres, depths)
-    height = _height(kernel.law, spheres, force, depths)
-    slip = slip_velocity(kernel, spheres, force, ground[rows, 0])
-    v[rows, 0] = slip - (q[rows, 1] - height) * v[rows, 2]
-    path = cumulative_trapezoid(v[rows, 0], times[rows], initial=0.0)
-    # The mean place, weighted by load, stays the measured one.
-    weight = ground[rows, 1]
-    q[rows, 0] = path + np.average(q[rows, 0] - path, weights=weight)
 
 
 def _bridged(off, loaded, times):
