@@ -179,9 +179,13 @@ class HermiteSimpson(Transcription):
         for step, which in _by_length(steps):
             some = [bindings[i] for i in which]
             zero = np.zeros((len(some), 3 * n_dof))
+            # The Jacobian is constant for a given time step.
+            z = np.zeros(inputs.shape[1])
+            z[0] = step
+            defects = some[0].evaluator().Eval(InitializeAutoDiff(z))
             program.register(
                 f"{self.name} collocation",
-                LinearKernel(_constant_jacobian(some[0], step)),
+                LinearKernel(ExtractGradient(defects)),
                 some,
                 inputs[which],
                 zero,
@@ -404,10 +408,3 @@ def _integrator(n_dof):
     A = np.block([[zero, eye, zero], [zero, zero, eye], [zero, zero, zero]])
     B = np.vstack([zero, zero, eye])
     return LinearSystem(A, B, np.zeros((0, 3 * n_dof)), np.zeros((0, n_dof)))
-
-
-def _constant_jacobian(binding, step):
-    """Jacobian of a collocation constraint, constant for a given time step."""
-    x = np.zeros(len(binding.variables()))
-    x[0] = step
-    return ExtractGradient(binding.evaluator().Eval(InitializeAutoDiff(x)))
