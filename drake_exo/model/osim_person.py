@@ -167,8 +167,11 @@ def _segments(osim: OsimModel) -> dict[str, tuple[str, str | None]]:
             )
         above = found.get(joint.parent, ("pelvis", None))
         found[joint.child] = known.get(joint.child, above)
+    chain = ["pelvis", *_BODIES]
     for body in needed[1:]:
-        above = _above(body)
+        name, _, end = body.rpartition("_")
+        above = chain[chain.index(name) - 1]
+        above = above if above == "pelvis" else f"{above}_{end}"
         if osim.joint_of(body).parent != above:
             raise InputError(
                 f"{osim.source}: body {body!r} hangs from "
@@ -176,14 +179,6 @@ def _segments(osim: OsimModel) -> dict[str, tuple[str, str | None]]:
                 "OpenSim's gait models; rename the bodies of another model"
             )
     return found
-
-
-def _above(body: str) -> str:
-    """Parent body of a body in OpenSim's gait models."""
-    name, _, end = body.rpartition("_")
-    chain = ["pelvis", *_BODIES]
-    above = chain[chain.index(name) - 1]
-    return above if above == "pelvis" else f"{above}_{end}"
 
 
 @dataclass(frozen=True)

@@ -120,19 +120,15 @@ class PlanarTree:
             raise KeyError(f"no body '{name}'; there are {self.names}")
         return self.names.index(name)
 
-    def _lever(self, body: str, p_BoP) -> np.ndarray:
-        index = self.body_index(body)
-        lever = self.origins[index].copy()
-        point = self.offsets[index] * (p_BoP[0] + 1j * p_BoP[1])
-        lever[self.segment_of[index]] += point
-        return lever
-
     def arms(self, q, body: str, p_BoP=(0.0, 0.0)) -> np.ndarray:
         """Contribution (x, z) of each segment to p_WP, (2, N, ns) [m].
 
         Its derivative by the segment's angle is (-z, x).
         """
-        phi, L = self.segment_angles(q), self._lever(body, p_BoP)
+        index, phi = self.body_index(body), self.segment_angles(q)
+        L = self.origins[index].copy()
+        point = self.offsets[index] * (p_BoP[0] + 1j * p_BoP[1])
+        L[self.segment_of[index]] += point
         c, s = np.cos(phi), np.sin(phi)
         return np.stack([c * L.real - s * L.imag, s * L.real + c * L.imag])
 
