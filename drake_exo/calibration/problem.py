@@ -414,6 +414,7 @@ class PhaseProblem(Compiles, ABC):
     def _movement(self, trial: Trial) -> TrialProgram:
         """Variables, dynamics and contact of a trial, without its cost."""
         solver = self.settings.solver
+        borne = [(shares, wrench.array) for shares, wrench in trial.borne()]
         movement = TrialProgram(
             self.program,
             trial.name,
@@ -425,7 +426,7 @@ class PhaseProblem(Compiles, ABC):
                 cuff: (bushing, self.places(cuff))
                 for cuff, bushing in self.bushings.items()
             },
-            _borne(self.tree, trial),
+            AppliedWrench(self.tree, trial.times, borne) if borne else None,
             self.soles,
             self.equations,
             self.refined.get(trial.name, 1),
@@ -816,12 +817,6 @@ def _in_order(contact: ContactModel, model: Model) -> ContactModel:
             )
     cuffs = [cuff for cuff in model.tree.cuffs if cuff in contact.bushings]
     return replace(contact, bushings={c: contact.bushings[c] for c in cuffs})
-
-
-def _borne(tree, trial: Trial) -> AppliedWrench | None:
-    """Chair and carried loads of a trial as one applied wrench, if any."""
-    parts = [(shares, wrench.array) for shares, wrench in trial.borne()]
-    return AppliedWrench(tree, trial.times, parts) if parts else None
 
 
 def bound_feet(

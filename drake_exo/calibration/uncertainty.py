@@ -230,6 +230,7 @@ def _shared(result: PhaseResult) -> np.ndarray:
 def _noise(movement: TrialProgram, result, found, by_x, cut, order):
     """Response (m, k) to independent unit noises, for each signal."""
     values, slopes = noise_basis(movement.grid.times, cut, order)
+    unknowns = result.compiled.unknowns
     responses = {"position": [], "velocity": []}
     for term in movement.tracked:
         if term.role == "regulariser":
@@ -240,7 +241,11 @@ def _noise(movement: TrialProgram, result, found, by_x, cut, order):
             # positions and velocities each have rows of their own.
             R = R @ term.rows[0]
             variables = result.problem.program.indices(term.variables)
-            _add_ends(R, variables, result.compiled, found)
+            for node in (0, -1):  # end states that are given as measured
+                rows = result.compiled.rows.row_of(variables[node])
+                given = rows >= 0
+                unit = unknowns.scale[variables[node][given]]
+                R[:, node, given] += found.by_bounds[:, rows[given]] / unit
             responses[term.role].append((R, term))
             continue
         sigma = _finite(term.sigma)
@@ -285,15 +290,6 @@ def by_target(term: Tracking, problem: PhaseProblem, by_x) -> np.ndarray:
             optimize=True,
         )
     return R
-
-
-def _add_ends(R, variables, program, found):
-    """Add to R the response to end states that are given as measured."""
-    for node in (0, -1):
-        rows = program.rows.row_of(variables[node])
-        given = rows >= 0
-        unit = program.unknowns.scale[variables[node][given]]
-        R[:, node, given] += found.by_bounds[:, rows[given]] / unit
 
 
 def _jerk_weights(problem: PhaseProblem, count: int) -> np.ndarray:
@@ -646,14 +642,12 @@ def bands(result: PhaseResult) -> Bands | None:
     _, prior = problem.errors.prior()
     chosen = [n for n in known.names if n in problem.contact.values()]
     variables = place(problem.variables_of(chosen))
-    # Errors that trials share are correlated with the parameters.
-    shared = [k for k, n in enumerate(problem.errors.names) if n in known.names]
-    names = [problem.errors.names[k] for k in shared]
-    count = len(chosen)
-    covariance = np.zeros((count + len(errors),) * 2)
+    names, count = [*chosen, *problem.errors.names], len(chosen)
+    covariance = np.zeros((len(names),) * 2)
     covariance[count:, count:] = prior
-    told = [*range(count), *(count + k for k in shared)]
-    _, covariance[np.ix_(told, told)] = known.of([*chosen, *names])
+    # Errors that trials share are correlated with the parameters.
+    told = [k for k, name in enumerate(names) if name in known.names]
+    _, covariance[np.ix_(told, told)] = known.of([names[k] for k in told])
     change = np.zeros((size, len(errors)))
     change[errors] = -np.linalg.inv(prior)
     moved = [matrix @ optimum.by_fixed(variables), by_gradient(change)]
