@@ -284,7 +284,7 @@ def solve(
                 problem.use_exact_hessian(exact)
             if status in _ACCEPTED or infeasible or stop.is_set():
                 break
-            if binding is None and not watch.found_feasible:
+            if binding is None and watch.best_key[0] > 0.0:
                 # Either bounds exclude each other, or a point at which none
                 # has to yield is a better start.
                 y0, binding, infeasible = relax(problem, y0, relaxed)
@@ -314,6 +314,7 @@ class _Watch:
     Attributes:
         gave_up: whether it stopped the attempt for lack of progress.
         raised: first error raised in a callback, which ends the attempt.
+        best, best_key: best iterate, its violation (0 if feasible) and cost.
     """
 
     def __init__(self, problem, strategy, on_iterate, stop):
@@ -356,11 +357,6 @@ class _Watch:
             self._restoring > _RESTORING
             or iteration - self._least_at > _STALLED
         )
-
-    @property
-    def found_feasible(self) -> bool:
-        """Whether an iterate kept all constraints."""
-        return self.best_key[0] == 0.0
 
 
 # A barrier of the usual height would first lead away from the solution. On fine

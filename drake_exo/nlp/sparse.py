@@ -379,19 +379,7 @@ class ConstraintRows:
             for batch in every
             if not self._satisfied(batch)
         ]
-        lower, upper = self._add_linear(program)
-        batches = [b.batch for b in self.blocks]
-        self.lower = np.concatenate(
-            [lower, *(b.lower.ravel() for b in batches)]
-        )
-        self.upper = np.concatenate(
-            [upper, *(b.upper.ravel() for b in batches)]
-        )
-
-    def _add_linear(self, program):
-        """Set up the linear rows; returns their bounds."""
         A, lower, upper, names = linear_rows(program.prog)
-        unknowns = self._unknowns
         rows = unknowns.substituted
         x_lower, x_upper = unknowns.x_lower[rows], unknowns.x_upper[rows]
         has_bound = np.isfinite(x_lower) | np.isfinite(x_upper)
@@ -412,7 +400,13 @@ class ConstraintRows:
         shift = A @ unknowns.offset
         lower = np.r_[lower, x_lower[has_bound] / unit] - shift
         upper = np.r_[upper, x_upper[has_bound] / unit] - shift
-        return lower, upper
+        batches = [b.batch for b in self.blocks]
+        self.lower = np.concatenate(
+            [lower, *(b.lower.ravel() for b in batches)]
+        )
+        self.upper = np.concatenate(
+            [upper, *(b.upper.ravel() for b in batches)]
+        )
 
     def _satisfied(self, batch: Batch) -> bool:
         """Whether a batch holds for every y, so that it can be left out."""
