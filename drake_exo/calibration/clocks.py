@@ -157,8 +157,7 @@ def retimed(trial: Trial, clocks: Iterable[Clock]) -> Trial:
                 )
         if trial.moments is not None:
             change = moved(wide.device_moments, "encoders")
-            own_moments = shared_moments(names, change)
-            changed["moments"] = trial.moments + own_moments
+            changed["moments"] = trial.moments + shared_moments(names, change)
         if trial.friction is not None:
             change = moved(wide.friction, "encoders")
             changed["friction"] = trial.friction + change

@@ -66,8 +66,7 @@ class BushingKernel:
         self.curved_inputs[nq : 2 * nq + 3] = False
 
     def _split(self, x):
-        nq = self.nq
-        k = self._k
+        nq, k = self.nq, self._k
         return np.split(x, [nq, 2 * nq, 2 * nq + 3, k, k + 3], axis=1)
 
     def evaluate(self, x, data):

@@ -231,11 +231,10 @@ class TrialProgram:
         variables = np.hstack([variables, self.at_nodes(errors)])
         n, m = variables.shape
         Q, b, c = np.zeros((n, m, m)), np.zeros((n, m)), np.zeros(n)
-        first = 0
-        for term in terms:
+        ends = np.cumsum([term.variables.shape[1] for term in terms])
+        for term, end in zip(terms, ends, strict=True):
             term.weights = weights
-            last = first + term.variables.shape[1]
-            columns = np.arange(first, last)
+            columns = np.arange(end - term.variables.shape[1], end)
             A = term.rows
             if term.effects is not None:
                 columns = np.r_[columns, shared:m]
@@ -245,7 +244,6 @@ class TrialProgram:
             Q[np.ix_(range(n), columns, columns)] += A.transpose(0, 2, 1) @ A
             b[:, columns] -= np.einsum("nrm,nr->nm", A, y)
             c += 0.5 * np.sum(y * y, axis=1)
-            first = last
         # Nodes without weight get no cost.
         used = weights > 0.0
         weight = weights[used]

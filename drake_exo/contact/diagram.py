@@ -26,7 +26,6 @@ from pydrake.systems.analysis import (
     SimulatorConfig,
 )
 from pydrake.systems.framework import (
-    BasicVector_,
     Context,
     Diagram,
     DiagramBuilder,
@@ -262,15 +261,13 @@ def JointTorques_(T):
             self._num_velocities = num_velocities
             self.DeclareVectorInputPort("joint_torques", num_velocities - 3)
             self.DeclareVectorOutputPort(
-                "generalized_force",
-                BasicVector_[T](num_velocities),
-                self._calc_generalized_force,
+                "generalized_force", num_velocities, self._calc
             )
 
         def _construct_copy(self, other, converter=None):
             Impl._construct(self, other._num_velocities, converter=converter)
 
-        def _calc_generalized_force(self, context, output):
+        def _calc(self, context, output):
             output.SetZero()
             port = self.GetInputPort("joint_torques")
             if port.HasValue(context):
