@@ -294,13 +294,17 @@ def scale_human(
     scale = height_m / MEAN_HEIGHT_MM[sex]
     ankle_height = _ANKLE_HEIGHT * height_m
     foot_length = rows["foot"].length * scale
-    shares = _mass_shares(rows)
+    percent = {
+        name: row.mass if name in ("head", "trunk") else 2.0 * row.mass
+        for name, row in rows.items()
+    }
+    total = sum(percent.values())  # women's column adds up to 99.99
+    mass = {name: mass_kg * (part / total) for name, part in percent.items()}
 
     def both_legs(name: str, com_m: tuple[float, float]) -> SegmentParameters:
         row, length = rows[name], rows[name].length * scale
-        mass = mass_kg * shares[name]
-        radius = row.gyration / 100.0 * length
-        return SegmentParameters(mass, com_m, mass * radius**2, length)
+        inertia = mass[name] * (row.gyration / 100.0 * length) ** 2
+        return SegmentParameters(mass[name], com_m, inertia, length)
 
     def from_lower_joint(name: str) -> tuple[float, float]:
         row = rows[name]
@@ -310,11 +314,13 @@ def scale_human(
     thigh = both_legs("thigh", from_lower_joint("thigh"))
     foot_com_x = (rows["foot"].com / 100.0 - _HEEL_BEHIND_ANKLE) * foot_length
     sphere_z = CONTACT_RADIUS_M - ankle_height
+    above_hip = height_m * (1.0 - _ANKLE_HEIGHT)
+    above_hip = above_hip - shank.length_m - thigh.length_m
     return HumanParameters(
         foot=both_legs("foot", (foot_com_x, -0.5 * ankle_height)),
         shank=shank,
         thigh=thigh,
-        pelvis=_upper_body(mass_kg, height_m, sex, shank, thigh),
+        pelvis=_upper_body(sex, mass, scale, above_hip),
         ankle_height_m=ankle_height,
         heel_m=(_HEEL_SPHERE * foot_length, sphere_z),
         toe_m=(_TOE_SPHERE * foot_length, sphere_z),
@@ -347,27 +353,11 @@ def _check_subject(mass_kg: float, height_m: float, sex: str) -> None:
         )
 
 
-def _mass_shares(rows: dict[str, DeLevaRow]) -> dict[str, float]:
-    """Share of body mass of each row, both sides summed; they add up to 1."""
-    percent = {
-        name: row.mass if name in ("head", "trunk") else 2.0 * row.mass
-        for name, row in rows.items()
-    }
-    total = sum(percent.values())  # women's column adds up to 99.99
-    return {name: value / total for name, value in percent.items()}
-
-
 def _upper_body(
-    mass_kg: float,
-    height_m: float,
-    sex: str,
-    shank: SegmentParameters,
-    thigh: SegmentParameters,
+    sex: str, mass: dict[str, float], scale: float, length_m: float
 ) -> SegmentParameters:
     """Pelvis, trunk, head and straight arms as one rigid body."""
     rows = DE_LEVA[sex]
-    scale = height_m / MEAN_HEIGHT_MM[sex]
-    shares = _mass_shares(rows)
     elbow = SHOULDER_HEIGHT_MM[sex] - rows["upper_arm"].length
     wrist = elbow - rows["forearm"].length
     top = {
@@ -377,12 +367,11 @@ def _upper_body(
         "forearm": elbow,
         "hand": wrist,
     }
-    mass = {name: mass_kg * shares[name] for name in top}
     z = {
         name: (top[name] - rows[name].com / 100.0 * rows[name].length) * scale
         for name in top
     }
-    total = sum(mass.values())
+    total = sum(mass[name] for name in top)
     com_z = sum(mass[name] * z[name] for name in top) / total
     inertia = sum(
         mass[name]
@@ -392,5 +381,4 @@ def _upper_body(
         )
         for name in top
     )
-    length = height_m * (1.0 - _ANKLE_HEIGHT) - shank.length_m - thigh.length_m
-    return SegmentParameters(total, (0.0, com_z), inertia, length)
+    return SegmentParameters(total, (0.0, com_z), inertia, length_m)
