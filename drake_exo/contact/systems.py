@@ -249,108 +249,12 @@ def _index_of(body, what: str) -> BodyIndex:
         ) from error
 
 
-class _FootGroundContact:
-    """The part of `FootGroundContact_` that is the same for all scalars."""
-
-    def _declare(self, T, body: BodyIndex, parameters: GroundContact):
-        check_type(parameters, GroundContact, "parameters")
-        self._T = T
-        self._body = _index_of(body, "body")
-        self._parameters = parameters = parameters.checked()
-        self.set_name("foot_ground_contact")
-        declare_force_ports(self, T, self._calc_spatial_forces)
-        for values in (*parameters.spheres.values(), parameters.constants):
-            self.DeclareNumericParameter(BasicVector_[T](astuple(values)))
-        self._values = _cached(
-            self, "values", self._calc_values, self.all_parameters_ticket()
-        )
-        # Shared by all outputs, so wrenches are computed once.
-        self._wrenches = _cached(self, "wrenches", self._calc_wrenches)
-        self.DeclareVectorOutputPort(
-            "ground_reaction", 3, self._calc_ground_reaction
-        )
-        self.DeclareVectorOutputPort(
-            "sphere_wrenches",
-            4 * len(parameters.spheres),
-            self._calc_sphere_wrenches,
-        )
-
-    def parameters(self, context=None) -> GroundContact:
-        """Parameters in a context, or those of the construction."""
-        if context is None:
-            return self._parameters
-        vectors, constants = self._held(context)
-        spheres = zip(self._parameters.spheres, vectors, strict=True)
-        return GroundContact(
-            self._parameters.law,
-            {name: ContactSphere(*vector) for name, vector in spheres},
-            constants,
-        )
-
-    def set_parameters(self, context, parameters: GroundContact) -> None:
-        """Writes parameters of the same law and spheres into a context.
-
-        Raises:
-            InputError: law or names of the spheres differ, or a value is out
-                of its bounds.
-        """
-        own, parameters = self._parameters, parameters.checked()
-        if parameters.law != own.law or list(parameters.spheres) != list(
-            own.spheres
-        ):
-            raise InputError(
-                f"this contact has the law '{own.law}' and the spheres "
-                f"{', '.join(own.spheres)}; build another one"
-            )
-        vectors = (*parameters.spheres.values(), parameters.constants)
-        for i, values in enumerate(vectors):
-            context.get_mutable_numeric_parameter(i).SetFromVector(
-                np.array(astuple(values))
-            )
-
-    def _held(self, context) -> tuple[list[list], Constants]:
-        """Values of each sphere and the constants, from a context."""
-        *spheres, constants = (
-            context.get_numeric_parameter(i).CopyToVector().tolist()
-            for i in range(len(self._parameters.spheres) + 1)
-        )
-        return spheres, type(self._parameters.constants)(*constants)
-
-    def _calc_values(self, context, output):
-        output.set_value(self._held(context))
-
-    def _calc_wrenches(self, context, output):
-        (foot,) = read_bodies(self, context, [self._body])
-        spheres, constants = self._values.Eval(context)
-        wrenches = [
-            foot_contact(self._parameters.law, *foot, sphere, constants)
-            for sphere in spheres
-        ]
-        output.set_value((foot, wrenches))
-
-    def _calc_spatial_forces(self, context, output):
-        foot, wrenches = self._wrenches.Eval(context)
-        output.set_value(
-            [
-                applied_force(self._T, self._body, foot, (x, z), force)
-                for *force, x, z in wrenches
-            ]
-        )
-
-    def _calc_ground_reaction(self, context, output):
-        output.SetFromVector(ground_reaction(self._wrenches.Eval(context)[1]))
-
-    def _calc_sphere_wrenches(self, context, output):
-        wrenches = self._wrenches.Eval(context)[1]
-        output.SetFromVector([x for wrench in wrenches for x in wrench])
-
-
 # The scope is given so that Drake need not search all modules for it.
 @TemplateSystem.define("FootGroundContact_", scope=sys.modules[__name__])
 def FootGroundContact_(T):
     """See `FootGroundContact`."""
 
-    class Impl(_FootGroundContact, LeafSystem_[T]):
+    class Impl(LeafSystem_[T]):
         """Smooth Hunt–Crossley contact of spheres on the foot with z = 0.
 
         Inputs, to be connected to the plant's ports of the same name:
@@ -377,14 +281,106 @@ def FootGroundContact_(T):
         3
         """
 
-        def _construct(self, body, parameters, converter=None):
+        def _construct(
+            self, body: BodyIndex, parameters: GroundContact, converter=None
+        ):
             LeafSystem_[T].__init__(self, converter=converter)
-            self._declare(T, body, parameters)
+            check_type(parameters, GroundContact, "parameters")
+            self._body = _index_of(body, "body")
+            self._parameters = parameters = parameters.checked()
+            self.set_name("foot_ground_contact")
+            declare_force_ports(self, T, self._calc_spatial_forces)
+            for values in (*parameters.spheres.values(), parameters.constants):
+                self.DeclareNumericParameter(BasicVector_[T](astuple(values)))
+            self._values = _cached(
+                self, "values", self._calc_values, self.all_parameters_ticket()
+            )
+            # Shared by all outputs, so wrenches are computed once.
+            self._wrenches = _cached(self, "wrenches", self._calc_wrenches)
+            self.DeclareVectorOutputPort(
+                "ground_reaction", 3, self._calc_ground_reaction
+            )
+            self.DeclareVectorOutputPort(
+                "sphere_wrenches",
+                4 * len(parameters.spheres),
+                self._calc_sphere_wrenches,
+            )
 
         def _construct_copy(self, other, converter=None):
             Impl._construct(
                 self, other._body, other._parameters, converter=converter
             )
+
+        def parameters(self, context=None) -> GroundContact:
+            """Parameters in a context, or those of the construction."""
+            if context is None:
+                return self._parameters
+            vectors, constants = self._held(context)
+            spheres = zip(self._parameters.spheres, vectors, strict=True)
+            return GroundContact(
+                self._parameters.law,
+                {name: ContactSphere(*vector) for name, vector in spheres},
+                constants,
+            )
+
+        def set_parameters(self, context, parameters: GroundContact) -> None:
+            """Writes parameters of the same law and spheres into a context.
+
+            Raises:
+                InputError: law or names of the spheres differ, or a value is
+                    out of its bounds.
+            """
+            own, parameters = self._parameters, parameters.checked()
+            if parameters.law != own.law or list(parameters.spheres) != list(
+                own.spheres
+            ):
+                raise InputError(
+                    f"this contact has the law '{own.law}' and the spheres "
+                    f"{', '.join(own.spheres)}; build another one"
+                )
+            vectors = (*parameters.spheres.values(), parameters.constants)
+            for i, values in enumerate(vectors):
+                context.get_mutable_numeric_parameter(i).SetFromVector(
+                    np.array(astuple(values))
+                )
+
+        def _held(self, context) -> tuple[list[list], Constants]:
+            """Values of each sphere and the constants, from a context."""
+            *spheres, constants = (
+                context.get_numeric_parameter(i).CopyToVector().tolist()
+                for i in range(len(self._parameters.spheres) + 1)
+            )
+            return spheres, type(self._parameters.constants)(*constants)
+
+        def _calc_values(self, context, output):
+            output.set_value(self._held(context))
+
+        def _calc_wrenches(self, context, output):
+            (foot,) = read_bodies(self, context, [self._body])
+            spheres, constants = self._values.Eval(context)
+            wrenches = [
+                foot_contact(self._parameters.law, *foot, sphere, constants)
+                for sphere in spheres
+            ]
+            output.set_value((foot, wrenches))
+
+        def _calc_spatial_forces(self, context, output):
+            foot, wrenches = self._wrenches.Eval(context)
+            output.set_value(
+                [
+                    applied_force(T, self._body, foot, (x, z), force)
+                    for *force, x, z in wrenches
+                ]
+            )
+
+        def _calc_ground_reaction(self, context, output):
+            output.SetFromVector(
+                ground_reaction(self._wrenches.Eval(context)[1])
+            )
+
+        def _calc_sphere_wrenches(self, context, output):
+            wrenches = self._wrenches.Eval(context)[1]
+            output.SetFromVector([x for wrench in wrenches for x in wrench])
 
     return Impl
 
@@ -394,120 +390,11 @@ def _check_bushings(parameters: Mapping[str, BushingParameters]) -> None:
         check_fields(values, f"bushing '{name}'")
 
 
-class _Bushings:
-    """The part of `HumanExoskeletonBushings_` common to all scalars."""
-
-    def _declare(self, T, pairs, parameters):
-        if not parameters or set(pairs) != set(parameters):
-            raise InputError(
-                f"bushings are given for {', '.join(parameters) or 'nothing'}, "
-                f"pairs of links for {', '.join(pairs) or 'nothing'}; name the "
-                "same cuffs in both"
-            )
-        _check_bushings(parameters)
-        self._T = T
-        self._pairs = {
-            name: tuple(_index_of(b, f"pairs: {name}") for b in pairs[name])
-            for name in parameters
-        }
-        self._parameters = dict(parameters)
-        self.set_name("human_exoskeleton_bushings")
-        declare_force_ports(self, T, self._calc_spatial_forces)
-        for values in parameters.values():
-            self.DeclareNumericParameter(BasicVector_[T](astuple(values)))
-        self._values = _cached(
-            self, "values", self._calc_values, self.all_parameters_ticket()
-        )
-        size = len(COMPONENTS) * len(parameters)
-        for name, read in (
-            ("interaction_forces", lambda own, d, force: force),
-            ("deflections", lambda own, d, force: d),
-            (
-                "energies",
-                lambda own, d, force: bushing_energy(
-                    d, own.stiffness, own.slip
-                ),
-            ),
-        ):
-            calc = functools.partial(self._calc_read, read)
-            self.DeclareVectorOutputPort(name, size, calc)
-
-    def parameters(self, context=None) -> dict[str, BushingParameters]:
-        """Parameters in a context, or those of the construction."""
-        if context is None:
-            return dict(self._parameters)
-        return {
-            name: BushingParameters(
-                *context.get_numeric_parameter(i).CopyToVector().tolist()
-            )
-            for i, name in enumerate(self._parameters)
-        }
-
-    def set_parameters(
-        self, context, parameters: Mapping[str, BushingParameters]
-    ) -> None:
-        """Writes parameters into a context.
-
-        Raises:
-            InputError: the names are not those of the construction, or a value
-                is out of its bounds.
-        """
-        if set(parameters) != set(self._parameters):
-            raise InputError(
-                f"bushings here are {', '.join(self._parameters)}, "
-                f"not {', '.join(parameters)}"
-            )
-        _check_bushings(parameters)
-        for i, name in enumerate(self._parameters):
-            context.get_mutable_numeric_parameter(i).SetFromVector(
-                np.array(astuple(parameters[name]))
-            )
-
-    def _calc_values(self, context, output):
-        output.set_value(list(self.parameters(context).values()))
-
-    def _evaluate(self, context) -> Iterator[tuple]:
-        """For each bushing: (links, poses, parameters, deflection, force)."""
-        bodies = [body for pair in self._pairs.values() for body in pair]
-        states = iter(read_bodies(self, context, bodies))
-        known = self._values.Eval(context)
-        for links, own in zip(
-            zip(states, states, strict=True), known, strict=True
-        ):
-            human, device = links
-            poses = planar_poses(human, device)
-            deflection, rate = bushing_deflection(
-                poses[0],
-                human.motion,
-                poses[1],
-                device.motion,
-                own.origin,
-                own.preload,
-            )
-            force = bushing_force(
-                deflection, rate, own.stiffness, own.damping, own.slip
-            )
-            yield links, poses, own, deflection, force
-
-    def _calc_spatial_forces(self, context, output):
-        entries = []
-        for pair, (links, poses, own, _, force) in zip(
-            self._pairs.values(), self._evaluate(context), strict=True
-        ):
-            wrench = bushing_wrench(force, *poses, own.origin, own.preload)
-            entries += opposite_forces(self._T, pair, links, wrench)
-        output.set_value(entries)
-
-    def _calc_read(self, read, context, output):
-        parts = (read(*known) for _, _, *known in self._evaluate(context))
-        output.SetFromVector([x for values in parts for x in values])
-
-
 @TemplateSystem.define("HumanExoskeletonBushings_", scope=sys.modules[__name__])
 def HumanExoskeletonBushings_(T):
     """See `HumanExoskeletonBushings`."""
 
-    class Impl(_Bushings, LeafSystem_[T]):
+    class Impl(LeafSystem_[T]):
         """Planar bushings between pairs of links.
 
         Inputs, to be connected to the plant's ports of the same name:
@@ -539,12 +426,111 @@ def HumanExoskeletonBushings_(T):
             converter=None,
         ):
             LeafSystem_[T].__init__(self, converter=converter)
-            self._declare(T, pairs, parameters)
+            if not parameters or set(pairs) != set(parameters):
+                raise InputError(
+                    "bushings are given for "
+                    f"{', '.join(parameters) or 'nothing'}, pairs of links for "
+                    f"{', '.join(pairs) or 'nothing'}; name the same cuffs in "
+                    "both"
+                )
+            _check_bushings(parameters)
+            self._pairs = {
+                name: tuple(_index_of(b, f"pairs: {name}") for b in pairs[name])
+                for name in parameters
+            }
+            self._parameters = dict(parameters)
+            self.set_name("human_exoskeleton_bushings")
+            declare_force_ports(self, T, self._calc_spatial_forces)
+            for values in parameters.values():
+                self.DeclareNumericParameter(BasicVector_[T](astuple(values)))
+            self._values = _cached(
+                self, "values", self._calc_values, self.all_parameters_ticket()
+            )
+            size = len(COMPONENTS) * len(parameters)
+            for name, read in (
+                ("interaction_forces", lambda own, d, force: force),
+                ("deflections", lambda own, d, force: d),
+                (
+                    "energies",
+                    lambda own, d, force: bushing_energy(
+                        d, own.stiffness, own.slip
+                    ),
+                ),
+            ):
+                calc = functools.partial(self._calc_read, read)
+                self.DeclareVectorOutputPort(name, size, calc)
 
         def _construct_copy(self, other, converter=None):
             Impl._construct(
                 self, other._pairs, other._parameters, converter=converter
             )
+
+        def parameters(self, context=None) -> dict[str, BushingParameters]:
+            """Parameters in a context, or those of the construction."""
+            if context is None:
+                return dict(self._parameters)
+            return {
+                name: BushingParameters(
+                    *context.get_numeric_parameter(i).CopyToVector().tolist()
+                )
+                for i, name in enumerate(self._parameters)
+            }
+
+        def set_parameters(
+            self, context, parameters: Mapping[str, BushingParameters]
+        ) -> None:
+            """Writes parameters into a context.
+
+            Raises:
+                InputError: the names are not those of the construction, or a
+                    value is out of its bounds.
+            """
+            if set(parameters) != set(self._parameters):
+                raise InputError(
+                    f"bushings here are {', '.join(self._parameters)}, "
+                    f"not {', '.join(parameters)}"
+                )
+            _check_bushings(parameters)
+            for i, name in enumerate(self._parameters):
+                context.get_mutable_numeric_parameter(i).SetFromVector(
+                    np.array(astuple(parameters[name]))
+                )
+
+        def _calc_values(self, context, output):
+            output.set_value(list(self.parameters(context).values()))
+
+        def _evaluate(self, context) -> Iterator[tuple]:
+            """Links, poses, parameters, deflection, force of each bushing."""
+            bodies = [body for pair in self._pairs.values() for body in pair]
+            states = iter(read_bodies(self, context, bodies))
+            known = self._values.Eval(context)
+            for human, device, own in zip(states, states, known, strict=True):
+                poses = planar_poses(human, device)
+                deflection, rate = bushing_deflection(
+                    poses[0],
+                    human.motion,
+                    poses[1],
+                    device.motion,
+                    own.origin,
+                    own.preload,
+                )
+                force = bushing_force(
+                    deflection, rate, own.stiffness, own.damping, own.slip
+                )
+                yield (human, device), poses, own, deflection, force
+
+        def _calc_spatial_forces(self, context, output):
+            entries = []
+            for pair, (links, poses, own, _, force) in zip(
+                self._pairs.values(), self._evaluate(context), strict=True
+            ):
+                wrench = bushing_wrench(force, *poses, own.origin, own.preload)
+                entries += opposite_forces(T, pair, links, wrench)
+            output.set_value(entries)
+
+        def _calc_read(self, read, context, output):
+            parts = (read(*known) for _, _, *known in self._evaluate(context))
+            output.SetFromVector([x for values in parts for x in values])
 
     return Impl
 
