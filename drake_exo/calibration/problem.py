@@ -863,21 +863,17 @@ def kinematic_terms(
     grid, names = movement.grid, movement.coordinates
     device = names.is_device_joint
     of_device = 1.0 if encoders else np.inf
-    foot_q = (noise.foot_m, noise.foot_m, np.deg2rad(noise.foot_pitch_deg))
-    foot_v = (
-        noise.foot_velocity_m_s,
-        noise.foot_velocity_m_s,
-        np.deg2rad(noise.foot_pitch_rate_deg_s),
-    )
-    root_q, root_v, feet = foot_q, foot_v, []
+
+    def of_pose(length: float, degrees: float) -> tuple:
+        return length, length, np.deg2rad(degrees)
+
+    foot_q = of_pose(noise.foot_m, noise.foot_pitch_deg)
+    foot_v = of_pose(noise.foot_velocity_m_s, noise.foot_pitch_rate_deg_s)
+    root_q, root_v, feet = foot_q, foot_v, {}
     if len(at.soles) > 1:
-        root_q = (noise.pelvis_m, noise.pelvis_m, np.deg2rad(noise.angle_deg))
-        root_v = (
-            noise.pelvis_velocity_m_s,
-            noise.pelvis_velocity_m_s,
-            np.deg2rad(noise.velocity_deg_s),
-        )
-        feet = list(measured_feet(movement, at).items())
+        root_q = of_pose(noise.pelvis_m, noise.angle_deg)
+        root_v = of_pose(noise.pelvis_velocity_m_s, noise.velocity_deg_s)
+        feet = measured_feet(movement, at)
     joint_q = np.where(device, of_device * noise.exo_angle_deg, noise.angle_deg)
     joint_v = np.where(
         device, of_device * noise.exo_velocity_deg_s, noise.velocity_deg_s
@@ -892,7 +888,7 @@ def kinematic_terms(
             movement, grid.v, at.v, sigma_v, "velocity", effects and effects.v
         ),
     ]
-    for foot, measured in feet:
+    for foot, measured in feet.items():
         pose = movement.poses[foot]
         terms += [
             Tracking(pose[:, :3], measured[:, :3], foot_q, role="position"),
