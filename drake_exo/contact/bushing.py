@@ -283,7 +283,6 @@ class BushingKinematics:
         self._h = tree.segment_of[human]
         self._e = tree.segment_of[device]
         self._D0 = tree.origins[device] - tree.origins[human]
-        self._D0 = self._D0.astype(complex)
         self._D0[self._e] += preload[0] + 1j * preload[1]
         self._angle = preload[2]
         psi = tree.angles_by_q - tree.angles_by_q[self._h]

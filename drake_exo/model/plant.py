@@ -389,13 +389,10 @@ def _add_human_joints(
     )
     for hinge in hinges(assembly.human):
         turn = _Z_TO_PLUS_Y if hinge.axis > 0 else _Z_TO_MINUS_Y
-        ends = [
-            _turned(plant, plant.GetFrameByName(frame, body), turn, name)
-            for frame, name in (
-                (hinge.parent, f"{hinge.name}_parent"),
-                (hinge.child, f"{hinge.name}_child"),
-            )
-        ]
+        ends = []
+        for end in ("parent", "child"):
+            frame = plant.GetFrameByName(getattr(hinge, end), body)
+            ends.append(_turned(plant, frame, turn, f"{hinge.name}_{end}"))
         plant.AddJoint(RevoluteJoint(hinge.name, *ends, [0.0, 0.0, 1.0]))
 
 

@@ -91,9 +91,8 @@ class Clip:
             raise ValueError(
                 f"clip '{self.title}' needs at least two increasing times"
             )
-        widths = {**dict.fromkeys(self.bodies, 7)}
-        widths |= dict.fromkeys(self.arrows, 6)
-        for name, rows in (*self.bodies.items(), *self.arrows.items()):
+        widths = dict.fromkeys(self.bodies, 7) | dict.fromkeys(self.arrows, 6)
+        for name, rows in {**self.bodies, **self.arrows}.items():
             if np.shape(rows) != (n, widths[name]):
                 raise ValueError(
                     f"'{name}' of clip '{self.title}' needs shape "
