@@ -5,13 +5,12 @@ to three rotations about body-fixed axes and three translations along axes of
 the parent's frame, each a function of one coordinate (OpenSim's
 SpatialTransform). Pins, welds, sliders and balls are special cases.
 
-Bodies, joints, contacts and bushings can be added: each function makes one XML
-element as OpenSim 4 writes it, and `OsimFile` puts it into its set. Frames on
-bodies are given as a `Pose`.
+Elements can be added: `element` makes one as OpenSim 4 writes it, and
+`OsimFile` puts it into its set. Frames on bodies are given as a `Pose`.
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import radians
 from pathlib import Path
@@ -641,51 +640,44 @@ class OsimFile:
         )
 
 
-def text_of(values: Iterable[float]) -> str:
-    """Numbers as text with all digits, separated by blanks."""
-    return " ".join(repr(float(value) + 0.0) for value in values)
+def text_of(values) -> str:
+    """A number, or several separated by blanks, as text with all digits."""
+    return " ".join(repr(float(value) + 0.0) for value in np.ravel(values))
 
 
-def _element(kind: str, name: str, **children: str) -> ET.Element:
-    """An XML element `kind` whose children hold texts."""
+def element(kind: str, name: str, **values) -> ET.Element:
+    """Make an element of a class `kind` of OpenSim.
+
+    Args:
+        kind: such as "ContactSphere".
+        name: of the element.
+        values: OpenSim's name of a property -> text, number or numbers.
+    """
     made = ET.Element(kind, name=name)
-    for tag, text in children.items():
-        ET.SubElement(made, tag).text = text
+    for key, value in values.items():
+        text = value if isinstance(value, str) else text_of(value)
+        ET.SubElement(made, key).text = text
     return made
 
 
 def body(name: str, mass_kg: float, com_m, inertia_kg_m2) -> ET.Element:
-    """Make a Body element.
-
-    Args:
-        name: of the body.
-        mass_kg: its mass.
-        com_m: (3,) centre of mass in the body's frame.
-        inertia_kg_m2: (3, 3) about the centre of mass.
-    """
-    inertia = np.asarray(inertia_kg_m2)
-    six = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
-    return _element(
-        "Body",
-        name,
-        mass=repr(float(mass_kg)),
-        mass_center=text_of(com_m),
-        inertia=text_of(six),
-    )
+    """Make a Body; CoM (3,) and inertia (3, 3) about it in its frame."""
+    (xx, xy, xz), (_, yy, yz), (*_, zz) = inertia_kg_m2
+    six = (xx, yy, zz, xy, xz, yz)
+    return element("Body", name, mass=mass_kg, mass_center=com_m, inertia=six)
 
 
-def _frames(owner: ET.Element, ends: dict[str, tuple[str, Pose]]) -> None:
+def add_frames(owner: ET.Element, ends: dict[str, tuple[str, Pose]]) -> None:
     """Add offset frames to a joint or force: name -> (body, pose on it)."""
     frames = ET.SubElement(owner, "frames")
     for name, (on, pose) in ends.items():
         angles = Rotation.from_matrix(pose.R).as_euler("XYZ")
-        angles = np.where(np.abs(angles) < _TINY, 0.0, angles)
-        frame = _element(
+        frame = element(
             "PhysicalOffsetFrame",
             name,
             socket_parent=f"/bodyset/{on}",
-            translation=text_of(pose.p),
-            orientation=text_of(angles),
+            translation=pose.p,
+            orientation=np.where(np.abs(angles) < _TINY, 0.0, angles),
         )
         frames.append(frame)
 
@@ -697,82 +689,16 @@ def joint(
     child: tuple[str, Pose],
 ) -> ET.Element:
     """Make a pin joint about the frames' z; a weld if without coordinate."""
-    made = ET.Element("PinJoint" if coordinate else "WeldJoint", name=name)
     ends = {f"{name}_parent": parent, f"{name}_child": child}
-    for end, frame in zip(("parent", "child"), ends, strict=True):
-        ET.SubElement(made, f"socket_{end}_frame").text = frame
+    above, below = ends
+    made = element(
+        "PinJoint" if coordinate else "WeldJoint",
+        name,
+        socket_parent_frame=above,
+        socket_child_frame=below,
+    )
     if coordinate:
         coordinates = ET.SubElement(made, "coordinates")
         ET.SubElement(coordinates, "Coordinate", name=coordinate)
-    _frames(made, ends)
-    return made
-
-
-def half_space(name: str) -> ET.Element:
-    """Make the contact half space of the ground, below y = 0."""
-    return _element(
-        "ContactHalfSpace",
-        name,
-        socket_frame="/ground",
-        location="0 0 0",
-        orientation=text_of([0.0, 0.0, -0.5 * np.pi]),
-    )
-
-
-def sphere(name: str, on: str, place_m, radius_m: float) -> ET.Element:
-    """Make a contact sphere, its centre at a position (3,) [m] of a body."""
-    return _element(
-        "ContactSphere",
-        name,
-        socket_frame=f"/bodyset/{on}",
-        location=text_of(place_m),
-        orientation="0 0 0",
-        radius=repr(float(radius_m)),
-    )
-
-
-def sphere_force(
-    name: str, on: str, ground: str, values: dict[str, float]
-) -> ET.Element:
-    """Make a SmoothSphereHalfSpaceForce.
-
-    Args:
-        name: of the force.
-        on, ground: names of the contact sphere and the half space.
-        values: OpenSim's name of a property -> value.
-    """
-    return _element(
-        "SmoothSphereHalfSpaceForce",
-        name,
-        socket_sphere=f"/contactgeometryset/{on}",
-        socket_half_space=f"/contactgeometryset/{ground}",
-        **{key: repr(float(value)) for key, value in values.items()},
-    )
-
-
-def bushing(
-    name: str,
-    human: tuple[str, Pose],
-    device: tuple[str, Pose],
-    values: dict[str, Iterable[float] | str],
-    kind: str = "BushingForce",
-) -> ET.Element:
-    """Make a bushing force between frames on two bodies.
-
-    Args:
-        name: of the force.
-        human, device: body and pose of the frame on it; the bushing's axes are
-            those of the first frame.
-        values: OpenSim's name of a property -> three numbers, or an
-            expression.
-        kind: "BushingForce" or "ExpressionBasedBushingForce".
-    """
-    made = ET.Element(kind, name=name)
-    ends = {f"{name}_human": human, f"{name}_device": device}
-    for i, frame in enumerate(ends):
-        ET.SubElement(made, f"socket_frame{i + 1}").text = frame
-    for key, three in values.items():
-        text = three if isinstance(three, str) else text_of(three)
-        ET.SubElement(made, key).text = text
-    _frames(made, ends)
+    add_frames(made, ends)
     return made

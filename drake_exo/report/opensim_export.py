@@ -620,7 +620,7 @@ def _weigh(file: xml.OsimFile, person: OsimPerson, factor, shift) -> None:
     moved = R_GP @ np.array([shift[0], shift[1], 0.0])
     for name, body in person.osim.bodies.items():
         element = file.body(name)
-        element.find("mass").text = repr(float(factor * body.mass_kg))
+        element.find("mass").text = xml.text_of(factor * body.mass_kg)
         inertia = np.array(element.findtext("inertia").split(), float)
         element.find("inertia").text = xml.text_of(factor * inertia)
         if person.segments[name][0] == "pelvis" and shift.any():
@@ -629,7 +629,14 @@ def _weigh(file: xml.OsimFile, person: OsimPerson, factor, shift) -> None:
 
 
 def _add_spheres(file, copies: Copies, contact: ContactModel) -> None:
-    file.add("ContactGeometrySet", xml.half_space(_GROUND))
+    floor = xml.element(
+        "ContactHalfSpace",  # below y = 0
+        _GROUND,
+        socket_frame="/ground",
+        location="0 0 0",
+        orientation=(0.0, 0.0, -0.5 * np.pi),
+    )
+    file.add("ContactGeometrySet", floor)
     constants = dict(vars(contact.ground.constants))
     del constants["friction_rounding"]
     for segment, ground in contact.ground.under(copies.model).items():
@@ -638,17 +645,25 @@ def _add_spheres(file, copies: Copies, contact: ContactModel) -> None:
                 place = on_frame(copy.frame, sphere.x, sphere.z).p
                 label = f"contact_{name}{copy.end}"
                 shape = f"{label}_sphere"
-                file.add(
-                    "ContactGeometrySet",
-                    xml.sphere(shape, copy.body, place, sphere.radius),
+                ball = xml.element(
+                    "ContactSphere",
+                    shape,
+                    socket_frame=f"/bodyset/{copy.body}",
+                    location=place,
+                    orientation="0 0 0",
+                    radius=sphere.radius,
                 )
-                values = {
+                file.add("ContactGeometrySet", ball)
+                made = xml.element(
+                    "SmoothSphereHalfSpaceForce",
+                    label,
+                    socket_sphere=f"/contactgeometryset/{shape}",
+                    socket_half_space=f"/contactgeometryset/{_GROUND}",
                     # The force is proportional to it.
-                    "stiffness": copies.share * sphere.stiffness,
-                    "dissipation": sphere.dissipation,
+                    stiffness=copies.share * sphere.stiffness,
+                    dissipation=sphere.dissipation,
                     **constants,
-                }
-                made = xml.sphere_force(label, shape, _GROUND, values)
+                )
                 file.add("ForceSet", made)
 
 
@@ -659,15 +674,6 @@ def _add_cuffs(file, copies: Copies, contact: ContactModel) -> None:
         held, frame = _held(copies, name)
         for copy in copies.of(links.human):
             kind, springs = _springs(b, t)
-            values = {
-                **springs,
-                "rotational_damping": (0, 0, t * b.rotational_damping),
-                "translational_damping": (
-                    t * b.normal_damping,
-                    t * b.tangential_damping,
-                    0,
-                ),
-            }
             end = copy.end if len(copies.ends) > 1 else ""
             device = on_frame(
                 frame,
@@ -676,13 +682,26 @@ def _add_cuffs(file, copies: Copies, contact: ContactModel) -> None:
                 b.preload_angle,
             )
             human = on_frame(copy.frame, b.origin_x, b.origin_z)
-            made = xml.bushing(
-                f"cuff_{name}{end}",
-                (copy.body, human),
-                (f"{held}{end}", device),
-                values,
+            label = f"cuff_{name}{end}"
+            ends = {
+                f"{label}_human": (copy.body, human),
+                f"{label}_device": (f"{held}{end}", device),
+            }
+            first, second = ends
+            made = xml.element(
                 kind,
+                label,
+                socket_frame1=first,
+                socket_frame2=second,
+                **springs,
+                rotational_damping=(0, 0, t * b.rotational_damping),
+                translational_damping=(
+                    t * b.normal_damping,
+                    t * b.tangential_damping,
+                    0,
+                ),
             )
+            xml.add_frames(made, ends)
             file.add("ForceSet", made)
 
 
