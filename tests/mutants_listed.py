@@ -836,8 +836,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "point = np.interp(at, *_POINT_M)",
         ),
         (
-            "v, torque = v @ other.T, torque @ of_joints.T",
-            "torque = torque @ of_joints.T",
+            "v, a, torque = v @ other.T, a @ other.T, torque @ of_joints.T",
+            "a, torque = a @ other.T, torque @ of_joints.T",
         ),
         (
             "return torque + swing + bears * (stance - swing)",
@@ -845,8 +845,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ),
         ("stiffness=0.5 * sphere.stiffness", "stiffness=sphere.stiffness"),
         (
-            "load, at = part * heavier * plan.ground[:, 1], plan.ground",
-            "load, at = part * plan.ground[:, 1], plan.ground",
+            "load = part * heavier * plan.ground.force_z",
+            "load = part * plan.ground.force_z",
         ),
     ],
     "drake_exo/virtual_laboratory/simulation.py": [

@@ -40,7 +40,6 @@ from drake_exo.virtual_laboratory.plan import (
     Friction,
     Planner,
     Posture,
-    Reference,
     RisePlan,
 )
 from drake_exo.virtual_laboratory.simulation import RATE_HZ, simulate
@@ -394,7 +393,7 @@ class Session:
         """A generator of its own for each kind of draw, by number and key."""
         return np.random.default_rng([self.seed, self.first_key + what, *key])
 
-    def standing(self) -> Reference:
+    def standing(self) -> Trial:
         """The plan of quiet standing."""
         return self.planner.standing(_STANDING_S, STANDING_COP_M)
 

@@ -27,6 +27,7 @@ from drake_exo.files.schema import quantity
 from drake_exo.measurement.filters import minimum_jerk
 from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import Trial
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model
@@ -107,28 +108,8 @@ class RisePlan:
         return np.linspace(0.0, self.duration, count)
 
 
-@dataclass(frozen=True)
-class Reference:
-    """A planned motion of the rigid model.
-
-    Attributes:
-        times: (n,) from 0 [s].
-        q, v: (n, nq) coordinates and velocities; six with one leg.
-        torque: (n, joints) of the human [N m]; with one leg ankle, knee, hip.
-        ground: (n, 3) F_x, F_z [N], M_y [N m] about the origin on the feet.
-        seat: (n, 3) the same of the chair on the pelvis.
-    """
-
-    times: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    torque: np.ndarray
-    ground: np.ndarray
-    seat: np.ndarray
-
-
 class Planner:
-    """Plans movements of one subject.
+    """Plans movements of one subject, as trials of the rigid model.
 
     Args:
         tree: the rigid model with one leg (six coordinates).
@@ -140,7 +121,7 @@ class Planner:
         self.contact = contact
         self.weight = tree.weight
 
-    def standing(self, duration: float, cop_m: float) -> Reference:
+    def standing(self, duration: float, cop_m: float) -> Trial:
         """Quiet standing, trunk upright, with the given centre of pressure."""
         times = np.linspace(0.0, duration, 11)
         foot = self._foot(np.array([self.weight]), cop_m)
@@ -161,7 +142,7 @@ class Planner:
         depth = seat.depth(share * self.weight)
         return SeatParameters(float(z) - seat.radius_m + depth)
 
-    def rise(self, plan: RisePlan, seat: SeatParameters) -> Reference:
+    def rise(self, plan: RisePlan, seat: SeatParameters) -> Trial:
         """A sit-to-stand from the chair that `seat` gives for the plan."""
         times = plan.times
         begin, end = plan.quiet_s + plan.lean_s * np.array(_UNLOADING)
@@ -171,7 +152,7 @@ class Planner:
         foot = self._foot(self.weight * (1.0 - share), plan.cop_m)
         return self._solve(plan, seat, foot, share)
 
-    def squat(self, plan: RisePlan) -> Reference:
+    def squat(self, plan: RisePlan) -> Trial:
         """From standing to the leant posture and back, without a chair.
 
         Args:
@@ -197,7 +178,7 @@ class Planner:
     def _foot(self, load: np.ndarray, cop_m: float) -> np.ndarray:
         return resting_foot(self.tree, self.contact, load, cop_m)
 
-    def _solve(self, plan, seat, foot, wanted) -> Reference:
+    def _solve(self, plan, seat, foot, wanted) -> Trial:
         """Solve least squares for the joints' spline coefficients.
 
         The foot (n, 3) and the chair's wanted share (n,) of weight are given.
@@ -251,12 +232,17 @@ class Planner:
         ground = self.tree.ground_reaction(q, needed)
         return PlanarWrench.of(ground), chair
 
-    def _reference(self, seat, times, q, v, a) -> Reference:
+    def _reference(self, seat, times, q, v, a) -> Trial:
         ground, chair = self._loads(seat, q, v, a)
         loads = {"pelvis": chair, self.tree.root: ground}
         demand = inverse_dynamics(self.tree, q, v, a, loads)
-        torque = demand[:, self.tree.coordinates.joint_columns]
-        return Reference(times, q, v, torque, ground.array, chair.array)
+        names = self.tree.coordinates
+        return Trial(
+            *("plan", names, times, q, v, a, ground),
+            source="simulated",
+            moments=demand[:, names.joint_columns],
+            chair=chair,
+        )
 
 
 def _basis(duration: float) -> BSpline:
@@ -351,7 +337,7 @@ class SubjectController(LeafSystem):
         names: coordinates of the coupled model.
         reference: the plan; its ends are held before and after.
         help_expected: (n, k) torques expected of the device, which the
-            feed-forward leaves to it [N m].
+            feed-forward leaves to it [N m]; 0 if it does not help.
         held: (m, body's coordinates) linear combinations of coordinates that
             feedback holds to the plan; by default `held_rows`.
     """
@@ -359,8 +345,8 @@ class SubjectController(LeafSystem):
     def __init__(
         self,
         names: Coordinates,
-        reference: Reference,
-        help_expected: np.ndarray,
+        reference: Trial,
+        help_expected: np.ndarray | float,
         held: np.ndarray | None = None,
     ):
         super().__init__()
@@ -381,7 +367,7 @@ class SubjectController(LeafSystem):
             [
                 reference.q @ held.T,
                 reference.v @ held.T,
-                reference.torque - help_expected,
+                reference.moments - help_expected,
             ]
         )
         # Evaluated ten thousand times: a table is faster than the spline.

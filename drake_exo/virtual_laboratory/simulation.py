@@ -29,7 +29,6 @@ from drake_exo.virtual_laboratory.forces import (
 )
 from drake_exo.virtual_laboratory.plan import (
     DeviceController,
-    Reference,
     SubjectController,
     controller,
 )
@@ -43,7 +42,7 @@ _ASTRAY_M = 0.1  # deviation of the pelvis from its plan that is a stumble
 def simulate(
     name: str,
     truth: Truth,
-    reference: Reference,
+    reference: Trial,
     seat: SeatParameters | None = None,
     help_share: tuple[float, ...] = (),
     span: tuple[float, float] = (0.0, 1.0),
@@ -121,12 +120,12 @@ def simulate(
 
 
 def _follower(
-    model: Model, reference: Reference, device: DeviceController
+    model: Model, reference: Trial, device: DeviceController
 ) -> SubjectController:
     """Controller that leaves to the device the help expected on the plan."""
     joints = model.rigid.coordinates.joint_columns
     angles, rates = reference.q[:, joints], reference.v[:, joints]
-    loads = reference.ground[:, 1]
+    loads = reference.ground.force_z
     helped = device.help(reference.times, angles, rates, loads)
     return SubjectController(model.coordinates, reference, helped)
 

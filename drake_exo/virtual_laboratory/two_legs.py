@@ -63,7 +63,6 @@ from drake_exo.virtual_laboratory.plan import (
     Friction,
     Planner,
     Posture,
-    Reference,
     RisePlan,
     SubjectController,
     comes_in,
@@ -254,11 +253,11 @@ class TwoLegs(Session):
         truth = Truth(model, contact, cuffs, friction)
         return truth, Planner(alone.tree, soles)
 
-    def standing(self) -> Reference:
+    def standing(self) -> Trial:
         """The plan of quiet standing, on both legs alike."""
         return self.both_legs(super().standing(), 0.5)
 
-    def both_legs(self, plan: Reference, share: float) -> Reference:
+    def both_legs(self, plan: Trial, share: float) -> Trial:
         """The plan for two legs that share the load, from that for one.
 
         Args:
@@ -274,8 +273,8 @@ class TwoLegs(Session):
         q[:, :3] = one.poses(plan.q, "pelvis")
         for side, part in shares.items():
             # Soles are indented unequally, so each leg needs its own angles.
-            load, at = part * heavier * plan.ground[:, 1], plan.ground
-            cop = -at[:, 2].sum() / at[:, 1].sum()
+            load = part * heavier * plan.ground.force_z
+            cop = -plan.ground.moment.sum() / plan.ground.force_z.sum()
             foot = resting_foot(one, self.truth.contact, load, cop)
             bent = _bent(self.truth.human, q, foot)
             for joint, angle in zip(
@@ -284,12 +283,14 @@ class TwoLegs(Session):
                 q[:, names.index(f"{joint}_{side}")] = angle
         path = make_interp_spline(plan.times, q, k=5)
         v, a = (path.derivative(k)(plan.times) for k in (1, 2))
-        loads = {"pelvis": PlanarWrench.of(plan.seat)}
+        loads = {"pelvis": plan.chair}
         ground = tree.ground_reaction(q, inverse_dynamics(tree, q, v, a, loads))
+        ground = PlanarWrench.of(ground)
         for side, part in shares.items():
-            loads[f"foot_{side}"] = PlanarWrench.of(part * ground)
+            loads[f"foot_{side}"] = ground.scaled(part)
         torque = inverse_dynamics(tree, q, v, a, loads)[:, names.joint_columns]
-        return Reference(plan.times, q, v, torque, ground, plan.seat)
+        own = {"q": q, "v": v, "a": a, "ground": ground, "moments": torque}
+        return replace(plan, coordinates=names, **own)
 
     def record(
         self,
@@ -494,7 +495,7 @@ def vary_walk(plan: WalkPlan, rng: np.random.Generator) -> WalkPlan:
 
 def plan_walk(
     model: Model, soles: GroundContact, plan: WalkPlan, title: str
-) -> Reference:
+) -> Trial:
     """A walk of several steps, from the left toe-off on.
 
     Args:
@@ -614,7 +615,7 @@ def _borne(tree: PlanarTree, q, side: str, cycle) -> PlanarWrench:
     return PlanarWrench(np.column_stack([force_x, force_z]), -point * force_z)
 
 
-def repeated(step: Trial, count: int, after_s: float = 0.0) -> Reference:
+def repeated(step: Trial, count: int, after_s: float = 0.0) -> Trial:
     """A walk of a step and its mirror images in turn.
 
     Args:
@@ -625,24 +626,27 @@ def repeated(step: Trial, count: int, after_s: float = 0.0) -> Reference:
     names, other = step.coordinates, mirrored(step.coordinates)
     joints = names.joint_columns
     of_joints = other[np.ix_(joints, joints)]
-    q, v, torque = step.q, step.v, step.moments
-    ground = step.ground.array
+    q, v, a, torque = step.q, step.v, step.a, step.moments
     ahead = np.zeros(len(names))
     ahead[names.index(names.root[0])] = q[-1, 0] - q[0, 0]
     parts = []
     for k in range(count + 1):
         rows = slice(int(k > 0), None)
         parts.append(
-            [x[rows] for x in (step.times + k * step.duration, q, v, torque)]
-            + [PlanarWrench.of(ground).shifted(k * ahead[0]).array[rows]]
+            [x[rows] for x in (step.times + k * step.duration, q, v, a, torque)]
+            + [step.ground.shifted(k * ahead[0]).array[rows]]
         )
         q = q @ other.T + ahead
-        v, torque = v @ other.T, torque @ of_joints.T
+        v, a, torque = v @ other.T, a @ other.T, torque @ of_joints.T
     until = count * step.duration + after_s
     joined = [np.concatenate(part) for part in zip(*parts, strict=True)]
     rows = joined[0] <= until + 1e-9
-    times, q, v, torque, ground = (part[rows] for part in joined)
-    return Reference(times, q, v, torque, ground, np.zeros_like(ground))
+    times, q, v, a, torque, ground = (part[rows] for part in joined)
+    return Trial(
+        *("walk", names, times, q, v, a, PlanarWrench.of(ground)),
+        source="simulated",
+        moments=torque,
+    )
 
 
 # Gains of the subject's feedback, N m/rad and N m s/rad. A leg in swing holds
@@ -667,10 +671,9 @@ class WalkingController(SubjectController):
         weight: of subject and device [N].
     """
 
-    def __init__(self, names: Coordinates, reference: Reference, weight: float):
+    def __init__(self, names: Coordinates, reference: Trial, weight: float):
         everything = np.eye(len(names.body))
-        nothing = np.zeros_like(reference.torque)
-        super().__init__(names, reference, nothing, everything)
+        super().__init__(names, reference, 0.0, everything)
         self._weight = weight
         self._swing, self._stance = _gains(names)
         sides = [name.partition("_")[2] for name in names.human]

@@ -95,13 +95,13 @@ def test_steps_follow_each_other(subject, step):
             step.coordinate(knee)[1:n],
             atol=1e-12,
         )
-        at = found.ground[rows + 5]
+        at = found.ground.array[rows + 5]
         own = step.ground.array[5]
         steps = rows / n
         np.testing.assert_allclose(at[:2], own[:2])
         cop = -at[2] / at[1] + own[2] / own[1]
         assert cop == pytest.approx(steps * far)
-        torque = found.torque[rows + 5]
+        torque = found.moments[rows + 5]
         first, last = torque[:3], torque[3:]
         first, last = (last, first) if swapped else (first, last)
         np.testing.assert_allclose(first, moments[5, :3])
@@ -354,15 +354,17 @@ def test_a_step_and_a_part_of_the_next(step):
     part = repeated(replace(step, moments=moments), 1, 0.1)
     assert part.times[-1] == pytest.approx(step.duration + 0.1)
     n = len(part.times)
-    for key in ("times", "q", "v", "torque", "ground"):
+    for key in ("times", "q", "v", "a", "moments"):
         np.testing.assert_array_equal(
             getattr(part, key), getattr(whole, key)[:n]
         )
+    borne = part.ground.array
+    np.testing.assert_array_equal(borne, whole.ground.array[:n])
     names = step.coordinates
     knees = [names.index(f"knee_{side}") for side in ("left", "right")]
     at = len(step.times) + 4
     np.testing.assert_allclose(part.v[at, knees], step.v[5, knees[::-1]])
-    assert part.seat.shape == part.ground.shape and not part.seat.any()
+    assert part.chair is None and not part.feet
 
 
 def test_gains_of_a_leg_that_bears_and_one_that_swings(subject, step):

@@ -170,10 +170,10 @@ def test_seated_posture_is_in_balance():
     planner, plan = Planner(RIGID, truth.contact), RisePlan()
     seat = planner.seat(plan)
     reference = planner.rise(plan, seat)
-    cop = -reference.ground[:, 2] / reference.ground[:, 1]
+    cop = reference.ground.cop_x
     risen = reference.times > plan.quiet_s + plan.lean_s
     assert np.abs(cop[risen] - plan.cop_m).max() < 0.01
-    assert reference.ground[:, 1].min() > 100.0
+    assert reference.ground.force_z.min() > 100.0
     q = equilibrium(truth, seat, reference.q[0])[None]
     rest = np.zeros_like(q)
     left = tree.inverse_dynamics(q, rest, rest) - applied(
@@ -193,7 +193,7 @@ def test_controllers_join_to_six_torques():
         reference.times,
         reference.q[:, 3:],
         reference.v[:, 3:],
-        reference.ground[:, 1],
+        reference.ground.force_z,
     )
     subject = SubjectController(truth.model.coordinates, reference, expected)
     both = controller(truth.model.coordinates, subject, device)
@@ -201,12 +201,13 @@ def test_controllers_join_to_six_torques():
     q = np.r_[reference.q[0], reference.q[0, 3:]]
     v = np.r_[np.zeros(6), 1.0, -1.0, 0.0]
     both.GetInputPort("state").FixValue(context, np.r_[q, v])
-    both.GetInputPort("ground_reaction").FixValue(context, reference.ground[0])
+    ground = reference.ground.array[0]
+    both.GetInputPort("ground_reaction").FixValue(context, ground)
     found = both.GetOutputPort("joint_torques").Eval(context)
     # On the plan, both together give what the plan needs.
     rubbing = np.array([-3.0, 3.0, 0.0])
     total = found[:3] + found[3:] - rubbing
-    np.testing.assert_allclose(total, reference.torque[0], atol=1e-9)
+    np.testing.assert_allclose(total, reference.moments[0], atol=1e-9)
     assert np.abs(expected[0]).max() > 1.0
     unloaded = device.torques(
         np.zeros(1), q[None, 6:], v[None, 6:], np.zeros(1)

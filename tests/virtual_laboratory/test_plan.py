@@ -8,6 +8,8 @@ from scipy.interpolate import CubicSpline
 
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.contact.strap import Assistance, Design
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import nominal_model
 from drake_exo.virtual_laboratory import plan as planning
 from drake_exo.virtual_laboratory.forces import chair_wrench
@@ -16,7 +18,6 @@ from drake_exo.virtual_laboratory.plan import (
     Friction,
     Planner,
     Posture,
-    Reference,
     RisePlan,
     SubjectController,
     comes_in,
@@ -74,7 +75,7 @@ def test_who_sits_is_in_balance(planner, seat):
 def test_what_bears_a_plan_moves_its_centre_of_mass(movement, request):
     """The sum of all forces is m (a + g), its moment the work of torques."""
     made = request.getfixturevalue(movement)
-    force = made.ground + made.seat
+    force = made.ground.array + made.chair.array
     mass = TREE.weight / 9.81
     com = CubicSpline(made.times, TREE.center_of_mass(made.q))
     a = com(made.times, 2)
@@ -99,13 +100,13 @@ def test_at_rest_torques_hold_what_gravity_asks(movement, request):
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, made.q[-1])
     held = -plant.CalcGravityGeneralizedForces(context)[3:]
-    np.testing.assert_allclose(made.torque[-1], held, atol=1e-9)
+    np.testing.assert_allclose(made.moments[-1], held, atol=1e-9)
 
 
 def test_a_rise_goes_by_its_times(rise, seat):
     """Sits, leans until the chair is free, rises, stands."""
     np.testing.assert_allclose(rise.times, np.linspace(0.0, 1.8, 91))
-    share = rise.seat[:, 1] / TREE.weight
+    share = rise.chair.force_z / TREE.weight
     first = share[0]
     assert 0.4 < first < 0.9
     # Seat-off between 35 and 100 % of the lean, half of it in the middle.
@@ -114,7 +115,7 @@ def test_a_rise_goes_by_its_times(rise, seat):
     assert at[1] == pytest.approx(0.5 * first, abs=0.06)
     assert at[2] == pytest.approx(0.0, abs=1e-7)
     assert np.abs(share[rise.times > 0.95]).max() < 0.005
-    cop = -rise.ground[:, 2] / rise.ground[:, 1]
+    cop = rise.ground.cop_x
     assert np.sqrt(np.mean((cop - SHORT.cop_m) ** 2)) < 0.006
     np.testing.assert_allclose(lean(rise.q[0]), [16.0, 96.0, 4.0], atol=0.7)
     np.testing.assert_allclose(lean(rise.q[-1]), [6.0, 2.0, 0.0], atol=1.5)
@@ -123,9 +124,9 @@ def test_a_rise_goes_by_its_times(rise, seat):
 
 
 def test_a_squat_goes_down_and_up_again(squat):
-    assert not squat.seat.any()
+    assert not squat.chair.array.any()
     np.testing.assert_allclose(squat.times, np.linspace(0.0, 1.8, 91))
-    cop = -squat.ground[:, 2] / squat.ground[:, 1]
+    cop = squat.ground.cop_x
     assert np.sqrt(np.mean((cop - SHORT.cop_m) ** 2)) < 0.006
     np.testing.assert_allclose(lean(squat.q[0]), [9.0, 14.0, 2.0], atol=1.5)
     knee = np.rad2deg(squat.q[:, 4])
@@ -140,12 +141,12 @@ def test_who_stands_has_the_mass_over_the_pressure(planner):
     np.testing.assert_allclose(stood.times, np.linspace(0.0, 2.0, 11))
     com = TREE.center_of_mass(stood.q)[:, 0]
     np.testing.assert_allclose(com, 0.03, atol=5e-4)
-    np.testing.assert_allclose(stood.ground[:, 1], TREE.weight)
-    cop = -stood.ground[:, 2] / stood.ground[:, 1]
+    np.testing.assert_allclose(stood.ground.force_z, TREE.weight)
+    cop = stood.ground.cop_x
     np.testing.assert_allclose(cop, com, atol=1e-6)
     _, knee, trunk = lean(stood.q[0])
     assert (knee, trunk) == (pytest.approx(2.0), pytest.approx(0.0, abs=1e-9))
-    assert not stood.v.any() and not stood.seat.any()
+    assert not stood.v.any() and not stood.chair.array.any()
 
 
 def test_a_template_goes_from_posture_to_posture():
@@ -246,9 +247,14 @@ def test_the_subject_knows_its_plan_at_all_times():
     times = np.linspace(0.0, 1.0, 21)
     q = np.outer(times**3, np.arange(6.0))
     v = np.outer(3.0 * times**2, np.arange(6.0))
-    plan = Reference(times, q, v, np.zeros((21, 3)), None, None)
+    nothing = np.zeros((21, 3))
+    plan = Trial(
+        *("plan", TREE.coordinates, times, q, v, 0.0 * v),
+        PlanarWrench.of(nothing),
+        moments=nothing,
+    )
     names = MODEL.coordinates
-    subject = SubjectController(names, plan, np.zeros((21, 3)))
+    subject = SubjectController(names, plan, nothing)
     zero = np.zeros((4, len(names)))
     at = np.array([-0.3, 0.12345, 0.7, 4.0])
     error, rate, torque = subject.off(at, zero, zero)

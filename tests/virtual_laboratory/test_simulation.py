@@ -78,7 +78,7 @@ def test_what_is_recorded_is_near_the_plan(truth, dipped):
     # Human and device, together, as what both were meant to give.
     torque = trial.moments[:, :3] + trial.moments[:, 3:]
     meant = np.column_stack(
-        [np.interp(trial.times, plan.times, x) for x in plan.torque.T]
+        [np.interp(trial.times, plan.times, x) for x in plan.moments.T]
     )
     assert np.sqrt(np.mean((torque - meant) ** 2)) < 1.5
     assert np.abs(trial.moments[:, 3:]).max() > 3.0

@@ -10,6 +10,8 @@ from test_instruments import happened
 
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.files.output import read_json
+from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import nominal_model
 from drake_exo.model.segments import CONTACT_RADIUS_M, SEGMENTS
 from drake_exo.virtual_laboratory import campaign, truth
@@ -28,7 +30,6 @@ from drake_exo.virtual_laboratory.plan import (
     DeviceController,
     Friction,
     Posture,
-    Reference,
     RisePlan,
     SubjectController,
 )
@@ -438,7 +439,7 @@ def test_the_study_tells_what_a_laboratory_knows(tmp_path):
     assert plain["trials"][1]["exo_moments"] == "assisted_legs_3_3_moments.mot"
 
 
-def reference() -> Reference:
+def reference() -> Trial:
     """A plan that moves linearly, with torques and load of its own."""
     times = np.linspace(0.0, 1.0, 11)
     q = np.zeros((11, 6))
@@ -447,7 +448,11 @@ def reference() -> Reference:
     v = np.tile([0.0, 0.0, 0.1, 0.3, 0.6, 0.9], (11, 1))
     torque = np.tile([10.0, 20.0, 30.0], (11, 1))
     load = np.tile([0.0, 800.0, -40.0], (11, 1))
-    return Reference(times, q, v, torque, load, 0.0 * load)
+    return Trial(
+        *("plan", MODEL.rigid.coordinates, times, q, v, 0.0 * v),
+        PlanarWrench.of(load),
+        moments=torque,
+    )
 
 
 def test_the_subject_holds_its_plan_by_stiffness_and_damping():

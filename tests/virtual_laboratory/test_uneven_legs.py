@@ -26,7 +26,6 @@ from drake_exo.files.opensim import read_table
 from drake_exo.jobs.engine import Processes
 from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.mats import cell_directions
-from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import Mat, Scan
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import SIDES
@@ -99,14 +98,14 @@ def test_a_plan_of_two_legs_obeys_newton(worn):
     v, a = (path.derivative(k)(found.times) for k in (1, 2))
     np.testing.assert_allclose(found.v, v)
     loads = {
-        "foot_left": PlanarWrench.of(share * found.ground),
-        "foot_right": PlanarWrench.of((1.0 - share) * found.ground),
+        "foot_left": found.ground.scaled(share),
+        "foot_right": found.ground.scaled(1.0 - share),
     }
     Q = inverse_dynamics(tree, found.q, v, a, loads)
     np.testing.assert_allclose(Q[:, names.root_columns], 0.0, atol=1e-7)
-    np.testing.assert_allclose(Q[:, names.joint_columns], found.torque)
+    np.testing.assert_allclose(Q[:, names.joint_columns], found.moments)
     weight = subject.truth.model.tree.weight
-    np.testing.assert_allclose(found.ground[[0, -1], 1], weight, rtol=1e-3)
+    np.testing.assert_allclose(found.ground.force_z[[0, -1]], weight, rtol=1e-3)
     left, right = (
         tree.point_positions(found.q, f"foot_{side}", (0.0, 0.0)).T
         for side in ("left", "right")
@@ -282,16 +281,17 @@ def test_cuffs_on_two_legs_are_designed(worn):
     columns = rigid.columns(own)
     accelerations = np.gradient(plan.v, plan.times, axis=0)
     q, v, a = (x[used][:, columns] for x in (plan.q, plan.v, accelerations))
-    times, ground = plan.times[used] - plan.times[used[0]], plan.ground[used]
+    times = plan.times[used] - plan.times[used[0]]
+    ground = plan.ground.cut(used)
     moments = np.zeros((len(times), len(names.joints)))
     helped = -5.0 * np.sin(np.pi * times / times[-1]) ** 2
     moments[:, names.is_device_joint] = helped[:, None]
     for joint in rigid.joints:
-        torque = plan.torque[used, rigid.joint(joint)]
+        torque = plan.moments[used, rigid.joint(joint)]
         moments[:, names.joint(joint)] = torque
-    half = PlanarWrench.of(0.5 * ground)
+    half = ground.scaled(0.5)
     squat = Trial(
-        *("squat", names, times, q, v, a, PlanarWrench.of(ground)),
+        *("squat", names, times, q, v, a, ground),
         source="simulated",
         feet={"left": half, "right": half},
         moments=moments,
