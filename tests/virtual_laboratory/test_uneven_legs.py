@@ -377,7 +377,7 @@ def test_the_used_part_of_a_walk_is_a_cycle(monkeypatch, alone):
         times=np.linspace(0.0, 1.0, 11),
         q=np.zeros((11, nq)),
         v=np.zeros((11, nq)),
-        torque=np.zeros((11, 6)),
+        moments=np.zeros((11, 6)),
     )
     monkeypatch.setattr(two_legs, "plan_walk", lambda *_: walk)
     monkeypatch.setattr(two_legs, "simulate", lambda *_, **__: happened)
