@@ -20,23 +20,15 @@ put down, the share that the body bears rises from 0 to 1, or falls to 0.
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.output import Progress
 from drake_exo.files.tables import MarkerData
-from drake_exo.measurement.filters import derivatives, fill_gaps, minimum_jerk
-from drake_exo.measurement.recording import read_foot_forces
+from drake_exo.measurement.filters import derivatives, minimum_jerk
 from drake_exo.measurement.sagittal import Axes, PlanarWrench
-from drake_exo.measurement.settings import (
-    Load,
-    Markers,
-    Plates,
-    RecordingSettings,
-    TrialFiles,
-)
+from drake_exo.measurement.settings import Load, Markers
 from drake_exo.model.assembly import SIDES
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model
@@ -637,78 +629,3 @@ def _share(load: Load, time: np.ndarray) -> np.ndarray:
     if load.to_s is not None:
         share *= 1.0 - minimum_jerk((time - load.to_s) / load.over_s)[0]
     return share
-
-
-def wrenches(
-    files: TrialFiles,
-    settings: RecordingSettings,
-    root: Path,
-    tree: PlanarTree,
-    time: np.ndarray,
-    q: np.ndarray,
-    recorded: MarkerData,
-    lag_s: float,
-) -> dict[str, PlanarWrench]:
-    """Segment -> sum of the wrenches (n,) of the trial's loads on it.
-
-    Args:
-        files: of the trial.
-        settings: of the study.
-        root: folder that the study's paths start from.
-        tree: model of the person; a device, if any, moves with the person.
-        time: (n,) of the recording [s].
-        q: (n, nq) filtered coordinates.
-        recorded: markers of the recording, unfilled.
-        lag_s: lag of the plates' clock behind the markers'.
-
-    Raises:
-        InputError: markers or forces are missing or do not cover the
-            recording, or a load is not carried during it.
-    """
-    found: dict[str, PlanarWrench] = {}
-    for load in files.loads:
-        late = load.from_s is not None and load.from_s >= time[-1]
-        if late or (load.to_s is not None and load.to_s <= time[0]):
-            raise InputError(
-                f"{root / files.markers}: lasts from {time[0]:g} to "
-                f"{time[-1]:g} s, when the load on the {load.body} is never "
-                "carried; correct from_s and to_s of loads"
-            )
-        if load.forces is not None:
-            wrench = _of_file(load, settings, root, time, lag_s)
-        else:
-            place = _place(load, settings, tree, time, q, recorded)
-            wrench = carried(load, time, place, settings.gravity_m_s2)
-        if load.body in found:
-            wrench = found[load.body] + wrench
-        found[load.body] = wrench
-    return found
-
-
-def _place(load, settings, tree, time, q, recorded) -> np.ndarray:
-    if load.at_m is not None:
-        return tree.point_positions(q, load.body, load.at_m)
-    filled, _ = fill_gaps(
-        recorded, load.markers, settings.laboratory.fill_gaps_s
-    )
-    axes = settings.laboratory.marker_axes
-    middle = axes.points(filled.of(load.markers)).mean(axis=1)
-    smooth = settings.filter.smooth(middle, recorded.rate_hz, recorded.source)
-    first = np.searchsorted(recorded.time, time[0] - 1e-9)
-    return smooth[first : first + len(time)]
-
-
-def _of_file(load, settings, root, time, lag_s) -> PlanarWrench:
-    path, laboratory = root / load.forces, settings.laboratory
-    forces = read_foot_forces(
-        path, Plates(both=load.plate), laboratory, settings.filter, loaded=False
-    ).delayed(lag_s)
-    step = 1.0 / forces.rate_hz
-    if forces.time[0] > time[0] + step or forces.time[-1] < time[-1] - step:
-        raise InputError(
-            f"{path}: runs from {forces.time[0]:g} to {forces.time[-1]:g} s, "
-            f"the recording from {time[0]:g} to {time[-1]:g} s; export the "
-            "whole file"
-        )
-    forces = forces.on_belt(settings.ground.belt_speed_m_s)
-    return forces.filtered(settings.filter).at(time)["both"]

@@ -1,6 +1,6 @@
 """Process recordings (read, synchronise, filter) and cut trials out of them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,7 @@ from drake_exo.measurement.filters import (
 from drake_exo.measurement.kinematics import (
     MarkerModel,
     ankle_paths,
+    carried,
     coordinates,
     from_the_ground_up,
     inverse_dynamics,
@@ -47,7 +48,6 @@ from drake_exo.measurement.kinematics import (
     residual_rms,
     residuals,
     solve_poses,
-    wrenches,
 )
 from drake_exo.measurement.mats import MatForce, read_mat_forces
 from drake_exo.measurement.recording import (
@@ -56,12 +56,14 @@ from drake_exo.measurement.recording import (
     common_time,
     force_delay,
     read_feet,
+    read_foot_forces,
     read_markers,
 )
 from drake_exo.measurement.sagittal import PlanarWrench, merge_plates
 from drake_exo.measurement.settings import (
     Device,
     Load,
+    Plates,
     RecordingSettings,
     TrialFiles,
 )
@@ -192,15 +194,18 @@ class Recordings:
         self, settings: RecordingSettings, root: Path, subject: SubjectModel
     ):
         self._subject, self._settings, self._root = subject, settings, root
+        self._laboratory, self._filter = settings.laboratory, settings.filter
         self._found: dict[Any, Recording] = {}
 
     def of(self, files: TrialFiles, without: tuple[str, ...] = ()) -> Recording:
-        """A trial's whole recording; raises as `process`."""
+        """A trial's whole recording, without some markers.
+
+        Raises:
+            InputError: as `trials`.
+        """
         key = _recording(files), without
         if key not in self._found:
-            self._found[key] = process(
-                key[0], self._subject, self._settings, self._root, without
-            )
+            self._found[key] = self._processed(*key)
         return self._found[key]
 
     def used(self, files: TrialFiles) -> Recording:
@@ -235,18 +240,389 @@ class Recordings:
         """
         problems = [p for p in map(self.problem, files) if p is not None]
         if problems:
-            longest = self._settings.laboratory.fill_gaps_s
+            longest = self._laboratory.fill_gaps_s
             raise InputError(f"{'; '.join(problems)}; {gap_remedy(longest)}")
-        return tuple(
-            cut(one, self.used(one), self._subject, self._settings)
-            for one in files
-        )
+        return tuple(map(self._trial, files))
 
     def _long(self, files: TrialFiles) -> list[Gap]:
         found = self.of(files)
         start, end, _ = _bounds(files, found)
-        reach = self._settings.filter.reach_s
+        reach = self._filter.reach_s
         return found.motion.gaps.too_long(start - reach, end + reach)
+
+    def _processed(
+        self, files: TrialFiles, without: tuple[str, ...]
+    ) -> Recording:
+        """Read, clean, synchronise and filter a recording; see `of`."""
+        settings, root = self._settings, self._root
+        laboratory, low_pass_filter = self._laboratory, self._filter
+        seen = read_markers(root / files.markers, low_pass_filter)
+        recorded = _on_belt(seen, settings)
+        absent: tuple[str, ...] = ()
+        if settings.markers is None:
+            absent = _absent(self._subject.markers, recorded)
+        followed = self._subject.markers.without((*without, *absent))
+        model = self._subject.model
+        markers, gaps = fill_gaps(
+            recorded, followed.names, laboratory.fill_gaps_s
+        )
+        forces = read_feet(files, laboratory, low_pass_filter, root)
+        on_time = forces.delayed(laboratory.force_delay_s)
+        time = common_time(markers, on_time, low_pass_filter)
+        load_gaps = tuple(
+            fill_gaps(recorded, load.markers, laboratory.fill_gaps_s)[1]
+            for load in files.loads
+        )
+        motion = replace(
+            self._follow(markers, gaps, time, followed),
+            without=without, absent=absent, load_gaps=load_gaps,
+            leaps=leaps(recorded, followed.names, LEAST_LEAP_M_S),
+            standstills=standstills(seen, followed.by_segment()),
+        )  # fmt: skip
+        loads, force_clock = files.loads, Clock(laboratory.force_delay_s)
+        applied = self._applied(loads, motion, recorded, force_clock)
+        motion = replace(motion, applied=applied)
+        if laboratory.estimate_force_delay:
+            pulls = [load for load in loads if load.forces is not None]
+            found = self._applied(pulls, motion, recorded, force_clock)
+            late = _force_delay(
+                motion,
+                on_time.filtered(low_pass_filter),
+                model.rigid,
+                laboratory,
+                sum(wrench.force_z for wrench in found.values()),
+            )
+            force_clock = Clock(
+                force_clock.lag_s + late, _said(late, laboratory)
+            )
+            # With the new lag, forces and markers overlap elsewhere.
+            on_time = forces.delayed(force_clock.lag_s)
+            frames = replace(markers, time=time)
+            time = common_time(frames, on_time, low_pass_filter)
+            first = np.searchsorted(motion.time, time[0] - 1e-9)
+            motion = motion.cut(slice(first, first + len(time)))
+            applied = self._applied(loads, motion, recorded, force_clock)
+            motion = replace(motion, applied=applied)
+        forces = on_time
+        stood = {
+            side: contacts(forces.time, wrench.force_z)
+            for side, wrench in forces.wrenches.items()
+            if side in SIDES
+        }
+        # Before the filter: on the belt, a standing foot's CoP is steady.
+        forces = forces.on_belt(settings.ground.belt_speed_m_s)
+        forces = forces.held(laboratory.hold_cop_below_n).filtered(
+            low_pass_filter
+        )
+        feet = forces.at(time)
+        chair = feet.pop("chair", None)
+        if chair is not None:
+            chair = until_seat_off(time, chair, model.tree.weight)
+        clocks = {"forces": force_clock}
+        angles = moments = None
+        if model.coordinates.device:
+            angles, moments, encoder_clock = self._device(files)
+            if encoder_clock is not None:
+                clocks["encoders"] = encoder_clock
+        worn = files.pressure if model.cuffs else ()
+        mats = read_mat_forces(worn, settings.mats, root, low_pass_filter)
+        if mats:
+            lag = _lag(files.pressure_delay_s, laboratory.pressure_delay_s)
+            clocks["pressure"] = _to_find(
+                lag, laboratory.estimate_pressure_delay
+            )
+            mats = tuple(mat.delayed(lag) for mat in mats)
+        return Recording(
+            motion,
+            forces,
+            feet,
+            chair,
+            _rises(motion, feet, chair, forces, model.rigid),
+            stood,
+            angles,
+            moments,
+            mats,
+            clocks,
+            settings.ground.belt_speed_m_s,
+        )
+
+    def _follow(
+        self, markers: MarkerData, gaps: Gaps, time, model: MarkerModel
+    ) -> Motion:
+        """Filtered motion in the frames at `time` (N,), see `solve_poses`."""
+        axes = self._laboratory.marker_axes
+        first = np.searchsorted(markers.time, time[0] - 1e-9)
+        inside = slice(first, first + len(time))
+        points = axes.points(markers.of(model.names))[inside]
+        hidden = gaps.hidden(model.names)[inside]
+        progress = Progress(
+            f"inverse kinematics of {Path(markers.source).name}"
+        )
+        poses = solve_poses(model, points, markers.source, progress, hidden)
+        ankles = ankle_paths(model, poses)
+        q = coordinates(self._subject.model, model, poses)
+
+        def smooth(x):
+            return self._filter.smooth(x, markers.rate_hz, markers.source)
+
+        q = smooth(q)
+        v, a = derivatives(time, q)
+        return Motion(
+            time,
+            q,
+            v,
+            a,
+            {side: smooth(p) for side, p in ankles.items()},
+            smooth(poses.hip.imag),
+            residuals(model, poses),
+            gaps,
+            model.determined(hidden),
+            {side: smooth(x) for side, x in leg_angles(model, poses).items()},
+            {
+                side: axes.space(markers.of(model.on("foot", side)))[inside]
+                for side in model.sides
+            },
+        )
+
+    def _applied(
+        self,
+        loads: Iterable[Load],
+        motion: Motion,
+        recorded: MarkerData,
+        clock: Clock,
+    ) -> dict[str, PlanarWrench]:
+        """Segment -> sum of the wrenches (N,) of loads on it.
+
+        Markers are those of the recording, unfilled; the clock is the plates'.
+        """
+        time = motion.time
+        found: dict[str, PlanarWrench] = {}
+        for load in loads:
+            late = load.from_s is not None and load.from_s >= time[-1]
+            if late or (load.to_s is not None and load.to_s <= time[0]):
+                raise InputError(
+                    f"{recorded.source}: lasts from {time[0]:g} to "
+                    f"{time[-1]:g} s, when the load on the {load.body} is "
+                    "never carried; correct from_s and to_s of loads"
+                )
+            if load.forces is not None:
+                wrench = self._of_file(load, time, clock)
+            else:
+                place = self._place(load, motion, recorded)
+                wrench = carried(load, time, place, self._settings.gravity_m_s2)
+            if load.body in found:
+                wrench = found[load.body] + wrench
+            found[load.body] = wrench
+        return found
+
+    def _place(self, load: Load, motion: Motion, recorded: MarkerData):
+        """Centre of a mass that is carried, (N, 2) [m]."""
+        if load.at_m is not None:
+            tree = self._subject.model.rigid.tree
+            return tree.point_positions(motion.q, load.body, load.at_m)
+        longest, axes = (
+            self._laboratory.fill_gaps_s,
+            self._laboratory.marker_axes,
+        )
+        filled, _ = fill_gaps(recorded, load.markers, longest)
+        middle = axes.points(filled.of(load.markers)).mean(axis=1)
+        smooth = self._filter.smooth(middle, recorded.rate_hz, recorded.source)
+        first = np.searchsorted(recorded.time, motion.time[0] - 1e-9)
+        return smooth[first : first + len(motion.time)]
+
+    def _of_file(self, load: Load, time, clock: Clock) -> PlanarWrench:
+        """Wrench (N,) of a load's file of forces."""
+        path, plates = self._root / load.forces, Plates(both=load.plate)
+        forces = read_foot_forces(
+            path, plates, self._laboratory, self._filter, loaded=False
+        ).delayed(clock.lag_s)
+        step = 1.0 / forces.rate_hz
+        if forces.time[0] > time[0] + step or forces.time[-1] < time[-1] - step:
+            raise InputError(
+                f"{path}: runs from {forces.time[0]:g} to "
+                f"{forces.time[-1]:g} s, the recording from {time[0]:g} to "
+                f"{time[-1]:g} s; export the whole file"
+            )
+        forces = forces.on_belt(self._settings.ground.belt_speed_m_s)
+        return forces.filtered(self._filter).at(time)["both"]
+
+    def _device(self, files: TrialFiles):
+        """Encoder angles, recorded moments on the markers' clock; the clock."""
+        root, laboratory = self._root, self._laboratory
+        device = self._settings.device or Device()
+        joints = self._subject.model.coordinates.device
+        moments = angles = clock = None
+        lag = _lag(files.encoder_delay_s, laboratory.encoder_delay_s)
+        if files.encoders is not None or files.exo_moments is not None:
+            clock = _to_find(lag, laboratory.estimate_encoder_delay)
+        if files.exo_moments is not None:
+            path = root / files.exo_moments
+            legs = device.moment_legs
+            moments = read_moments(path, joints, legs, self._filter)
+            moments = moments.delayed(lag)
+        if files.encoders is not None:
+            path = root / files.encoders
+            legs = device.encoder_legs
+            angles = read_angles(path, joints, legs, self._filter)
+            angles = angles.delayed(lag)
+        return angles, moments, clock
+
+    def _trial(self, files: TrialFiles) -> Trial:
+        """Cut one trial out of its recording.
+
+        Raises:
+            InputError: no such rise or event, a part outside the recording or
+                too short for the filter, encoders, moments or mats that do not
+                cover it, or a load whose markers are hidden in it.
+        """
+        recording, model = self.used(files), self._subject.model
+        motion, reach = recording.motion, self._filter.reach_s
+        start, end, how = _bounds(files, recording)
+        inside = between(motion.time, start, end)
+        for load, gaps in zip(files.loads, motion.load_gaps, strict=True):
+            lifted, put_down = load.carried_s
+            gaps.check(max(start, lifted) - reach, min(end, put_down) + reach)
+        if inside.sum() < 2:
+            raise InputError(
+                f"trial {files.name}: {start:g} to {end:g} s holds no part of "
+                f"the recording ({motion.time[0]:g} to {motion.time[-1]:g} s); "
+                "correct start_s and end_s"
+            )
+        if end - start < reach:
+            raise InputError(
+                f"trial {files.name}: {start:g} to {end:g} s is shorter than a "
+                "period of what the filter leaves "
+                f"({self._filter.cutoff_hz:g} Hz); give a longer part by "
+                "start_s and end_s"
+            )
+        trial = self._part(files, recording, inside)
+        check_loaded(
+            recording.forces.source,
+            trial.ground,
+            model.rigid.tree.weight,
+            f"trial {files.name}, {start:g} to {end:g} s",
+        )
+        around = None
+        if model.coordinates.device:
+            around = self._part(files, recording, _around(recording, inside))
+            around = replace(around, provenance={})
+        provenance = trial.provenance | {"part": how}
+        return replace(trial, provenance=provenance, around=around)
+
+    def _part(
+        self, files: TrialFiles, recording: Recording, inside: np.ndarray
+    ) -> Trial:
+        """The frames `inside` (N,) of a recording as a trial."""
+        motion, model = recording.motion, self._subject.model
+        # Start at the origin: belts run so far in minutes that digits get lost.
+        ahead = recording.belt_speed_m_s * float(motion.time[inside][0])
+
+        def here(wrench: PlanarWrench) -> PlanarWrench:
+            return wrench.cut(inside).shifted(-ahead)
+
+        feet = {foot: here(w) for foot, w in recording.feet.items()}
+        if model.assembly.human.sides:
+            wrench, shifts = _both_feet(files, feet), {}
+        else:
+            places = {side: p[inside] for side, p in motion.ankles.items()}
+            (wrench, shifts), feet = merge_plates(feet, places), {}
+        time = motion.time[inside]
+        (q, v, a), exo = _coordinates(files, recording, inside, model)
+        q[:, model.coordinates.root_columns[0]] -= ahead
+        cuffs, mats = _cuff_forces(recording, time)
+        trial = Trial(
+            name=files.name,
+            coordinates=model.coordinates,
+            times=time - time[0],
+            start_s=float(time[0]),
+            q=q,
+            v=v,
+            a=a,
+            ground=wrench,
+            feet=feet,
+            cuffs=cuffs,
+            chair=None if recording.chair is None else here(recording.chair),
+            chair_on_thighs=self._laboratory.chair_on_thighs,
+            applied={b: here(w) for b, w in motion.applied.items()},
+            mass_kg=self._subject.mass_kg,
+        )
+        moments, friction, source = self._moments(recording, trial, time)
+        provenance = {
+            **self._provenance(files, recording),
+            "marker_residual_rms_m": residual_rms(
+                {name: x[inside] for name, x in motion.residuals_m.items()}
+            ),
+            "gaps_filled": {
+                name: count / int(inside.sum())
+                for name, count in motion.gaps.frames(time[0], time[-1]).items()
+            },
+            "plate_shift_m": shifts,
+            "moments": source,
+            "loads": [_said_of(load) for load in files.loads],
+            "chair": "plate" if recording.chair is not None else "not measured",
+            "mats": mats,
+            **exo,
+        }
+        return replace(
+            trial, moments=moments, friction=friction, provenance=provenance
+        )
+
+    def _moments(self, recording: Recording, trial: Trial, time):
+        """Joint moments (n, n_joints), friction (n, joints), and their origin.
+
+        The resultant is that of body and device moving as one, from the ground
+        up. The human's moments are the resultant less the exoskeleton's.
+        """
+        model, device = self._subject.model, self._settings.device
+        names, tree = model.coordinates, model.rigid.tree
+        q, v, a = trial.body
+        Q = inverse_dynamics(tree, q, v, a, trial.loads(tree.root))
+        resultant = from_the_ground_up(tree, q, Q)
+        resultant = resultant[:, tree.coordinates.joint_columns]
+        if not names.device:
+            return resultant, None, {"human": "resultant"}
+        friction = None
+        if recording.moments is not None:
+            exo = recording.moments.at(time, "exoskeleton moments")
+            source = "recorded"
+            if recording.moments.one_leg:
+                source += f", {recording.moments.one_leg} leg doubled"
+        elif device is not None:
+            exo = drive_moments(device, model.tree, trial.q, trial.v, trial.a)
+            friction = friction_moments(device, model.tree, trial.v)
+            source = "device model"
+            if recording.angles is None:
+                source += " at the human's angles"
+        else:
+            return (
+                None,
+                None,
+                {"human": "unknown: neither exo_moments nor device are given"},
+            )
+        human = resultant - exo @ names.turned_by
+        said = {"human": "resultant - exoskeleton", "exoskeleton": source}
+        return names.joined(human, exo), friction, said
+
+    def _provenance(self, files: TrialFiles, recording: Recording) -> dict:
+        """Provenance of a recording: files, filter, and processing."""
+        clocks = recording.clocks
+        return {
+            "markers": files.markers.as_posix(),
+            "forces": files.forces.as_posix(),
+            "filter": {
+                "kind": "Butterworth, zero lag",
+                "cutoff_hz": self._filter.cutoff_hz,
+                "order": self._filter.order,
+            },
+            "force_delay_s": clocks["forces"].lag_s,
+            "delays_s": {name: c.lag_s for name, c in clocks.items()},
+            "clocks": {name: c.said for name, c in clocks.items() if c.said},
+            "plate_levels": recording.forces.levels,
+            "one_leg_doubled": recording.forces.is_one_leg,
+            "legs_followed": list(self._subject.markers.sides),
+            "markers_left_out": list(recording.motion.without),
+            "markers_absent": list(recording.motion.absent),
+        }
 
 
 def _recording(files: TrialFiles) -> TrialFiles:
@@ -261,117 +637,6 @@ def _recording(files: TrialFiles) -> TrialFiles:
         end_s=None,
         begin=None,
         end=None,
-    )
-
-
-def process(
-    files: TrialFiles,
-    subject: SubjectModel,
-    settings: RecordingSettings,
-    root: Path,
-    without: tuple[str, ...] = (),
-) -> Recording:
-    """Read, clean, synchronise and filter a whole recording.
-
-    Args:
-        files: of a trial.
-        subject: the subject's model, fitted to the standing trial.
-        settings: of the study.
-        root: folder that the study's paths start from.
-        without: names of markers to leave out.
-
-    Raises:
-        InputError: as `Recordings.trials`.
-    """
-    laboratory, low_pass_filter = settings.laboratory, settings.filter
-    seen = read_markers(root / files.markers, low_pass_filter)
-    recorded = _on_belt(seen, settings)
-    absent: tuple[str, ...] = ()
-    if settings.markers is None:
-        absent = _absent(subject.markers, recorded)
-    followed = subject.markers.without((*without, *absent))
-    subject = replace(subject, markers=followed)
-    model = subject.model
-    markers, gaps = fill_gaps(
-        recorded, subject.markers.names, laboratory.fill_gaps_s
-    )
-    forces = read_feet(files, laboratory, low_pass_filter, root)
-    on_time = forces.delayed(laboratory.force_delay_s)
-    time = common_time(markers, on_time, low_pass_filter)
-    load_gaps = tuple(
-        fill_gaps(recorded, load.markers, laboratory.fill_gaps_s)[1]
-        for load in files.loads
-    )
-    motion = replace(
-        _follow(markers, gaps, time, subject, settings),
-        without=without, absent=absent, load_gaps=load_gaps,
-        leaps=leaps(recorded, followed.names, LEAST_LEAP_M_S),
-        standstills=standstills(seen, followed.by_segment()),
-    )  # fmt: skip
-
-    def applied(motion: Motion, lag_s: float, of: TrialFiles = files):
-        return wrenches(
-            of, settings, root, model.rigid.tree, motion.time, motion.q,
-            recorded, lag_s,
-        )  # fmt: skip
-
-    force_clock = Clock(laboratory.force_delay_s)
-    motion = replace(motion, applied=applied(motion, force_clock.lag_s))
-    if laboratory.estimate_force_delay:
-        pulls = tuple(x for x in files.loads if x.forces is not None)
-        found = applied(motion, force_clock.lag_s, replace(files, loads=pulls))
-        late = _force_delay(
-            motion,
-            on_time.filtered(low_pass_filter),
-            model.rigid,
-            laboratory,
-            sum(wrench.force_z for wrench in found.values()),
-        )
-        force_clock = Clock(force_clock.lag_s + late, _said(late, laboratory))
-        # With the new lag, forces and markers overlap elsewhere.
-        on_time = forces.delayed(force_clock.lag_s)
-        frames = replace(markers, time=time)
-        time = common_time(frames, on_time, low_pass_filter)
-        first = np.searchsorted(motion.time, time[0] - 1e-9)
-        motion = motion.cut(slice(first, first + len(time)))
-        motion = replace(motion, applied=applied(motion, force_clock.lag_s))
-    forces = on_time
-    stood = {
-        side: contacts(forces.time, wrench.force_z)
-        for side, wrench in forces.wrenches.items()
-        if side in SIDES
-    }
-    # Before the filter: on the belt, a standing foot's CoP is steady.
-    forces = forces.on_belt(settings.ground.belt_speed_m_s)
-    forces = forces.held(laboratory.hold_cop_below_n).filtered(low_pass_filter)
-    feet = forces.at(time)
-    chair = feet.pop("chair", None)
-    if chair is not None:
-        chair = until_seat_off(time, chair, model.tree.weight)
-    clocks = {"forces": force_clock}
-    angles = moments = None
-    if model.coordinates.device:
-        angles, moments, encoder_clock = _device(files, model, settings, root)
-        if encoder_clock is not None:
-            clocks["encoders"] = encoder_clock
-    worn = files.pressure if model.cuffs else ()
-    mats = read_mat_forces(worn, settings.mats, root, low_pass_filter)
-    if mats:
-        lag = _lag(files.pressure_delay_s, laboratory.pressure_delay_s)
-        clocks["pressure"] = _to_find(lag, laboratory.estimate_pressure_delay)
-        mats = tuple(mat.delayed(lag) for mat in mats)
-    return Recording(
-        motion,
-        forces,
-        feet,
-        chair,
-        _rises(motion, feet, chair, forces, model.rigid),
-        stood,
-        angles,
-        moments,
-        mats,
-        clocks,
-        settings.ground.belt_speed_m_s,
     )
 
 
@@ -396,48 +661,6 @@ def _on_belt(markers: MarkerData, settings: RecordingSettings) -> MarkerData:
     # Hidden markers exported as zeros stay zero, so that they are refused.
     moved[(markers.positions == 0.0).all(axis=2)] = 0.0
     return replace(markers, positions=moved)
-
-
-def _follow(
-    markers: MarkerData,
-    gaps: Gaps,
-    time: np.ndarray,
-    subject: SubjectModel,
-    settings: RecordingSettings,
-) -> Motion:
-    """Filtered motion by inverse kinematics of the frames at `time` (N,)."""
-    axes = settings.laboratory.marker_axes
-    model = subject.markers
-    first = np.searchsorted(markers.time, time[0] - 1e-9)
-    inside = slice(first, first + len(time))
-    points = axes.points(markers.of(model.names))[inside]
-    hidden = gaps.hidden(model.names)[inside]
-    progress = Progress(f"inverse kinematics of {Path(markers.source).name}")
-    poses = solve_poses(model, points, markers.source, progress, hidden)
-    ankles = ankle_paths(model, poses)
-    q = coordinates(subject.model, model, poses)
-
-    def smooth(values):
-        return settings.filter.smooth(values, markers.rate_hz, markers.source)
-
-    q = smooth(q)
-    v, a = derivatives(time, q)
-    return Motion(
-        time,
-        q,
-        v,
-        a,
-        {side: smooth(p) for side, p in ankles.items()},
-        smooth(poses.hip.imag),
-        residuals(model, poses),
-        gaps,
-        model.determined(hidden),
-        {side: smooth(x) for side, x in leg_angles(model, poses).items()},
-        {
-            side: axes.space(markers.of(model.on("foot", side)))[inside]
-            for side in model.sides
-        },
-    )
 
 
 def needed_force(rigid: Model, motion: Motion) -> np.ndarray:
@@ -514,27 +737,6 @@ def _said(late: float, laboratory) -> str:
     return text
 
 
-def _device(files, model: Model, settings, root):
-    """Encoder angles and recorded moments on the markers' clock; the clock."""
-    laboratory, device = settings.laboratory, settings.device or Device()
-    joints = model.coordinates.device
-    moments = angles = clock = None
-    lag = _lag(files.encoder_delay_s, laboratory.encoder_delay_s)
-    if files.encoders is not None or files.exo_moments is not None:
-        clock = _to_find(lag, laboratory.estimate_encoder_delay)
-    if files.exo_moments is not None:
-        path = root / files.exo_moments
-        legs = device.moment_legs
-        moments = read_moments(path, joints, legs, settings.filter)
-        moments = moments.delayed(lag)
-    if files.encoders is not None:
-        path = root / files.encoders
-        legs = device.encoder_legs
-        angles = read_angles(path, joints, legs, settings.filter)
-        angles = angles.delayed(lag)
-    return angles, moments, clock
-
-
 def _lag(of_trial: float | None, of_laboratory: float) -> float:
     """Lag [s] that the study gives; systems may be started trial by trial."""
     return of_laboratory if of_trial is None else of_trial
@@ -543,54 +745,6 @@ def _lag(of_trial: float | None, of_laboratory: float) -> float:
 def _to_find(lag: float, is_unknown: bool) -> Clock:
     """Clock of encoders or mats, whose remaining lag a calibration finds."""
     return Clock(lag, "left to the calibration, unsure" if is_unknown else None)
-
-
-def cut(
-    files: TrialFiles,
-    recording: Recording,
-    subject: SubjectModel,
-    settings: RecordingSettings,
-) -> Trial:
-    """Cut one trial out of a processed recording.
-
-    Raises:
-        InputError: no such rise or event, a part outside the recording or too
-            short for the filter, encoders, moments or mats that do not cover
-            it, or a load whose markers are hidden in it.
-    """
-    motion = recording.motion
-    start, end, how = _bounds(files, recording)
-    inside = between(motion.time, start, end)
-    reach = settings.filter.reach_s
-    for load, gaps in zip(files.loads, motion.load_gaps, strict=True):
-        lifted, put_down = load.carried_s
-        gaps.check(max(start, lifted) - reach, min(end, put_down) + reach)
-    if inside.sum() < 2:
-        raise InputError(
-            f"trial {files.name}: {start:g} to {end:g} s holds no part of "
-            f"the recording ({motion.time[0]:g} to {motion.time[-1]:g} s); "
-            "correct start_s and end_s"
-        )
-    if end - start < 1.0 / settings.filter.cutoff_hz:
-        raise InputError(
-            f"trial {files.name}: {start:g} to {end:g} s is shorter than a "
-            f"period of what the filter leaves ({settings.filter.cutoff_hz:g} "
-            "Hz); give a longer part by start_s and end_s"
-        )
-    trial = _part(files, recording, subject, settings, inside)
-    check_loaded(
-        recording.forces.source,
-        trial.ground,
-        subject.model.rigid.tree.weight,
-        f"trial {files.name}, {start:g} to {end:g} s",
-    )
-    around = None
-    if subject.model.coordinates.device:
-        wide = _around(recording, inside)
-        around = _part(files, recording, subject, settings, wide)
-        around = replace(around, provenance={})
-    provenance = trial.provenance | {"part": how}
-    return replace(trial, provenance=provenance, around=around)
 
 
 def _around(recording: Recording, inside: np.ndarray) -> np.ndarray:
@@ -609,71 +763,6 @@ def _around(recording: Recording, inside: np.ndarray) -> np.ndarray:
     frames = np.arange(len(time))
     return (frames > before.max(initial=-1)) & (
         frames < after.min(initial=len(time))
-    )
-
-
-def _part(
-    files: TrialFiles,
-    recording: Recording,
-    subject: SubjectModel,
-    settings: RecordingSettings,
-    inside: np.ndarray,
-) -> Trial:
-    """The frames `inside` (N,) of a recording as a trial."""
-    motion = recording.motion
-    # Start at the origin: a belt runs so far in minutes that digits get lost.
-    ahead = recording.belt_speed_m_s * float(motion.time[inside][0])
-
-    def here(wrench: PlanarWrench) -> PlanarWrench:
-        return wrench.cut(inside).shifted(-ahead)
-
-    feet = {foot: here(w) for foot, w in recording.feet.items()}
-    if subject.model.assembly.human.sides:
-        wrench, shifts = _both_feet(files, feet), {}
-    else:
-        places = {side: p[inside] for side, p in motion.ankles.items()}
-        (wrench, shifts), feet = merge_plates(feet, places), {}
-    time = motion.time[inside]
-    (q, v, a), exo = _coordinates(files, recording, inside, subject.model)
-    q[:, subject.model.coordinates.root_columns[0]] -= ahead
-    cuffs, mats = _cuff_forces(recording, time)
-    trial = Trial(
-        name=files.name,
-        coordinates=subject.model.coordinates,
-        times=time - time[0],
-        start_s=float(time[0]),
-        q=q,
-        v=v,
-        a=a,
-        ground=wrench,
-        feet=feet,
-        cuffs=cuffs,
-        chair=None if recording.chair is None else here(recording.chair),
-        chair_on_thighs=settings.laboratory.chair_on_thighs,
-        applied={b: here(w) for b, w in motion.applied.items()},
-        mass_kg=subject.mass_kg,
-    )
-    moments, friction, source = _moments(
-        recording, subject.model, settings, trial, time
-    )
-    provenance = {
-        **_provenance(files, recording, subject, settings),
-        "marker_residual_rms_m": residual_rms(
-            {name: x[inside] for name, x in motion.residuals_m.items()}
-        ),
-        "gaps_filled": {
-            name: count / int(inside.sum())
-            for name, count in motion.gaps.frames(time[0], time[-1]).items()
-        },
-        "plate_shift_m": shifts,
-        "moments": source,
-        "loads": [_said_of(load) for load in files.loads],
-        "chair": "plate" if recording.chair is not None else "not measured",
-        "mats": mats,
-        **exo,
-    }
-    return replace(
-        trial, moments=moments, friction=friction, provenance=provenance
     )
 
 
@@ -700,33 +789,6 @@ def _both_feet(files: TrialFiles, feet: dict[str, PlanarWrench]):
                 f"loaded; correct plates.{side}, start_s and end_s"
             )
     return feet["left"] + feet["right"]
-
-
-def _provenance(
-    files: TrialFiles,
-    recording: Recording,
-    subject: SubjectModel,
-    settings: RecordingSettings,
-) -> dict[str, Any]:
-    """Provenance of a recording: files, filter, and processing."""
-    clocks = recording.clocks
-    return {
-        "markers": files.markers.as_posix(),
-        "forces": files.forces.as_posix(),
-        "filter": {
-            "kind": "Butterworth, zero lag",
-            "cutoff_hz": settings.filter.cutoff_hz,
-            "order": settings.filter.order,
-        },
-        "force_delay_s": clocks["forces"].lag_s,
-        "delays_s": {name: c.lag_s for name, c in clocks.items()},
-        "clocks": {name: c.said for name, c in clocks.items() if c.said},
-        "plate_levels": recording.forces.levels,
-        "one_leg_doubled": recording.forces.is_one_leg,
-        "legs_followed": list(subject.markers.sides),
-        "markers_left_out": list(recording.motion.without),
-        "markers_absent": list(recording.motion.absent),
-    }
 
 
 def _bounds(files: TrialFiles, recording: Recording):
@@ -805,44 +867,6 @@ def _coordinates(files, recording: Recording, inside, model: Model):
         "encoders": files.encoders.as_posix(),
         "encoder_legs": recording.angles.one_leg or "both",
     }
-
-
-def _moments(recording, model: Model, settings, trial: Trial, time):
-    """Joint moments (n, n_joints), friction (n, joints), and their origin.
-
-    The resultant is that of body and device moving as one, from the ground up.
-    The human's moments are the resultant less the exoskeleton's.
-    """
-    names, tree = model.coordinates, model.rigid.tree
-    q, v, a = trial.body
-    Q = inverse_dynamics(tree, q, v, a, trial.loads(tree.root))
-    resultant = from_the_ground_up(tree, q, Q)
-    resultant = resultant[:, tree.coordinates.joint_columns]
-    if not names.device:
-        return resultant, None, {"human": "resultant"}
-    friction = None
-    if recording.moments is not None:
-        exo = recording.moments.at(time, "exoskeleton moments")
-        source = "recorded"
-        if recording.moments.one_leg:
-            source += f", {recording.moments.one_leg} leg doubled"
-    elif settings.device is not None:
-        exo = drive_moments(
-            settings.device, model.tree, trial.q, trial.v, trial.a
-        )
-        friction = friction_moments(settings.device, model.tree, trial.v)
-        source = "device model"
-        if recording.angles is None:
-            source += " at the human's angles"
-    else:
-        return (
-            None,
-            None,
-            {"human": "unknown: neither exo_moments nor device are given"},
-        )
-    human = resultant - exo @ names.turned_by
-    said = {"human": "resultant - exoskeleton", "exoskeleton": source}
-    return names.joined(human, exo), friction, said
 
 
 def _cuff_forces(recording: Recording, time):

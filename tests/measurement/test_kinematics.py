@@ -20,7 +20,7 @@ from drake_exo.measurement.kinematics import (
     residuals,
     solve_poses,
 )
-from drake_exo.measurement.processing import process
+from drake_exo.measurement.processing import Recordings
 from drake_exo.measurement.sagittal import Axes
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import scale_human
@@ -230,7 +230,7 @@ def opencap(data_root, request):
     path = request.path.parents[1] / "studies" / "opencap_sts1.yaml"
     study = read_study(path, data_root)
     file, subject = study.file, study.subject
-    recording = process(file.trials[0], subject, file, study.root)
+    recording = Recordings(file, study.root, subject).of(file.trials[0])
     motion = recording.motion
     folder = data_root / "opencap_subject4"
     ik = in_radians(read_table(folder / "IK/STS1_ik.mot"))

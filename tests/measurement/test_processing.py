@@ -26,7 +26,7 @@ from drake_exo.files.tables import MarkerData, Table
 from drake_exo.measurement import processing
 from drake_exo.measurement.filters import fill_gaps
 from drake_exo.measurement.kinematics import inverse_dynamics
-from drake_exo.measurement.processing import Recordings, process
+from drake_exo.measurement.processing import Recordings
 from drake_exo.measurement.settings import Axes, Ground, Scaling
 from drake_exo.measurement.subject import fit_subject
 from drake_exo.model.segments import scale_human
@@ -645,7 +645,7 @@ def test_real_rises_are_found(data_root, request):
     path = request.path.parents[1] / "studies" / "opencap_sts1.yaml"
     study = read_study(path, data_root)
     file, subject = study.file, study.subject
-    recording = process(file.trials[0], subject, file, study.root)
+    recording = Recordings(file, study.root, subject).of(file.trials[0])
     halfway = [rise.halfway_s for rise in recording.rises]
     np.testing.assert_allclose(
         halfway, [1.12, 3.79, 6.40, 9.02, 11.72], atol=0.04

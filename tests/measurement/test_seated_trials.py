@@ -11,7 +11,7 @@ from synthetic_recording import RATE, SEAT_OFF, load
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table, write_table
 from drake_exo.measurement.events import until_seat_off
-from drake_exo.measurement.processing import process
+from drake_exo.measurement.processing import Recordings
 from drake_exo.measurement.quality import assess, force_residual, text_of
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import (
@@ -256,7 +256,7 @@ def test_a_lag_that_is_found_is_that_of_all_forces(files):
         largest_delay_s=0.2,
     )
     subject = fit_subject(study, folder)
-    found = process(study.trials[0], subject, study, folder)
+    found = Recordings(study, folder, subject).of(study.trials[0])
     lag = found.clocks["forces"].lag_s
     assert lag == pytest.approx(0.1)
     time = found.motion.time
