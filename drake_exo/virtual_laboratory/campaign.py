@@ -305,18 +305,8 @@ def write_campaign(
         )
     active = checked(disturbances) - (set() if truth == "wide" else set(WIDE))
     job = Campaign(folder, seed, active, files, truth, design)
-    progress = Progress(
-        "virtual laboratory", len(movements), interval_seconds=2.0
-    )
-    mats = job.prepare(progress)
-    entries = job.record_all(
-        {m.name: m for m in movements}, processes, progress
-    )
-    used = [entries[m.name] for m in movements if m.is_used]
-    path = folder / "study.yaml"
     title = "A virtual subject in the exoskeleton stands up."
-    write_yaml(path, title, job.study(mats, used))
-    return path
+    return job.write({m.name: m for m in movements}, processes, title)
 
 
 def read_about(folder: str | Path) -> dict:
@@ -460,33 +450,38 @@ class Session:
             "markers": study_markers(),
         }
 
-    def record_all(
-        self, movements: Mapping, processes: int, progress: Progress
-    ) -> dict[str, dict]:
-        """Record all movements; name -> entry in the study's `trials`.
+    def write(self, movements: Mapping, processes: int, title: str) -> Path:
+        """Write all files of the session; the study file.
 
         Args:
             movements: name -> argument of `record`.
             processes: number that run in parallel.
-            progress: updated with every movement.
+            title: of the study.
         """
-        entries: dict[str, dict] = {}
-        if processes == 1:
-            for name, movement in movements.items():
-                entries[name] = self.record(movement, progress, len(entries))
-            return entries
+        progress = Progress(
+            "virtual laboratory", len(movements), interval_seconds=2.0
+        )
+        mats = self.prepare(progress)
+        entries: dict[str, dict | None] = {}
 
         def end(row: Ended) -> None:
             entries[row.name] = row.result()
             progress.update(row.name, len(entries))
 
-        jobs = [
-            Job(name, f"{__name__}:record", {"job": self, "movement": movement})
-            for name, movement in movements.items()
-        ]
-        with Processes(processes) as pool:
-            run_jobs(jobs, pool, end)
-        return {name: entries[name] for name in movements}
+        if processes == 1:
+            for name, movement in movements.items():
+                entries[name] = self.record(movement, progress, len(entries))
+        else:
+            jobs = [
+                Job(name, f"{__name__}:record", {"job": self, "movement": m})
+                for name, m in movements.items()
+            ]
+            with Processes(processes) as pool:
+                run_jobs(jobs, pool, end)
+        used = [e for e in map(entries.get, movements) if e is not None]
+        path = self.laboratory.folder / "study.yaml"
+        write_yaml(path, title, self.study(mats, used))
+        return path
 
     def varied(self, vary: Callable, plan, *key: int):
         """The plan, varied by `vary` if the disturbance "variation" acts."""
@@ -571,8 +566,11 @@ class Campaign(Session):
         movement: Repetition,
         progress: Progress | None = None,
         done: int | None = None,
-    ) -> dict:
-        """Simulate a movement and write its files; its entry in `trials`."""
+    ) -> dict | None:
+        """Simulate a movement and write its files; its entry in `trials`.
+
+        None if the study leaves the movement out.
+        """
         laboratory = self.laboratory
         plan = self.varied(vary, RisePlan(), *movement.key)
         seat = self.planner.seat(plan)
@@ -595,6 +593,8 @@ class Campaign(Session):
         rng = self.rng(6, *movement.key)
         noisy = laboratory.faults.noisy_windows
         start, end = _window(happened, plan, rng if noisy else None)
+        if not movement.is_used:
+            return None
         return self.entry(movement, mats, start, end)
 
     def entry(

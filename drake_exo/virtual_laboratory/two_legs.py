@@ -55,7 +55,6 @@ from drake_exo.virtual_laboratory.campaign import (
     phase_sections,
     to_frames,
     vary,
-    write_yaml,
 )
 from drake_exo.virtual_laboratory.forces import levelled, resting_foot
 from drake_exo.virtual_laboratory.instruments import PLATES, Faults, mats_of
@@ -159,14 +158,9 @@ def write_movements(
         source = description.parent / device["file"]
         shutil.copyfile(source, folder / source.name)
         device["file"] = source.name
-    progress = Progress("virtual laboratory", trials, interval_seconds=2.0)
-    mats = job.prepare(progress)
-    names = {f"{movement}_{k + 1}": k for k in range(trials)}
-    entries = job.record_all(names, processes, progress)
-    path = folder / "study.yaml"
-    study = job.study(mats, list(entries.values()))
-    write_yaml(path, f"A virtual subject of two legs: {movement}.", study)
-    return path
+    numbers = {f"{movement}_{k + 1}": k for k in range(trials)}
+    title = f"A virtual subject of two legs: {movement}."
+    return job.write(numbers, processes, title)
 
 
 class TwoLegs(Session):
