@@ -481,7 +481,9 @@ class RecordedStudy(Study):
         if not cut:
             return checks
         evidence = [
-            Evidence(f, trial, self.recordings.used(f), self.subject)
+            Evidence(
+                trial, self.model, f, self.recordings.used(f), self.subject
+            )
             for trial in cut
             for f in self.file.trials
             if f.name == trial.name

@@ -125,7 +125,10 @@ def _judged(
     level: Level = "fail",
     weight: float = 1.0,
 ) -> Check:
-    """A check against `LIMITS`; `holds` overrules the comparison."""
+    """A check against `LIMITS`, or another limit.
+
+    `holds` overrules the comparison, if more than the limit decides.
+    """
     usual, unit, _ = LIMITS[name]
     limit = usual if limit is None else limit
     limit *= weight if name in _OF_WEIGHT else 1.0
@@ -143,11 +146,31 @@ def _judged(
     )
 
 
-class _Moved:
-    """A trial of a model: what its motion asks for, and what was measured."""
+@dataclass(frozen=True)
+class Made:
+    """A trial of a model: what its motion asks for, and what was measured.
+
+    Attributes:
+        trial: n samples.
+        model: subject and device.
+    """
 
     trial: Trial
     model: Model
+
+    def check(
+        self, name: str, value: float, sentence: str, **changed: Any
+    ) -> Check:
+        """A check of this trial: by default that a value is within its limit.
+
+        Args:
+            name: key of `LIMITS`.
+            value: found.
+            sentence: message if it does not hold.
+            changed: as in `_judged`.
+        """
+        where, weight = self.trial.name, self.weight
+        return _judged(name, value, where, sentence, weight=weight, **changed)
 
     @property
     def weight(self) -> float:
@@ -190,60 +213,25 @@ class _Moved:
 
 
 @dataclass(frozen=True)
-class Made(_Moved):
-    """A trial that is not cut from a recording."""
-
-    trial: Trial
-    model: Model
-
-    def check(self, name: str, value: float, sentence: str) -> Check:
-        """As `Evidence.check`, without a file."""
-        where, weight = self.trial.name, self.weight
-        return _judged(name, value, where, sentence, weight=weight)
-
-
-@dataclass(frozen=True)
-class Evidence(_Moved):
-    """What is judged: a trial, its files and the whole recording.
+class Evidence(Made):
+    """A trial that is cut from a recording, n samples of N.
 
     Attributes:
         files: names of the trial's files.
-        trial: the used part, n samples.
-        recording: the recording from which it was cut, N samples.
+        recording: the recording from which it was cut.
         subject: the subject's model, fitted to standing.
     """
 
     files: TrialFiles
-    trial: Trial
     recording: Recording
     subject: SubjectModel
 
-    @property
-    def model(self) -> Model:
-        """The subject's model."""
-        return self.subject.model
-
     def check(
-        self,
-        name: str,
-        value: float,
-        sentence: str,
-        file: object = None,
-        **changed: Any,
+        self, name: str, value: float, sentence: str, file=None, **changed
     ) -> Check:
-        """A check of this trial: by default that a value is within its limit.
-
-        Args:
-            name: key of `LIMITS`.
-            value: found.
-            sentence: message if it does not hold.
-            file: that the message names, if not the usual one.
-            changed: `holds`, if more than the limit decides; another `limit`;
-                or the `level` "note".
-        """
+        """As `Made.check`; the message names the usual file, or another."""
         file = file or getattr(self.files, LIMITS[name][2])
-        where, told = self.trial.name, f"{file}: {sentence}"
-        return _judged(name, value, where, told, weight=self.weight, **changed)
+        return super().check(name, value, f"{file}: {sentence}", **changed)
 
     @cached_property
     def inside(self) -> np.ndarray:
@@ -263,7 +251,7 @@ class Evidence(_Moved):
     @cached_property
     def needed_z(self) -> np.ndarray:
         """Vertical force (N,) that the recording's motion requires [N]."""
-        return needed_force(self.subject.model.rigid, self.recording.motion)
+        return needed_force(self.model.rigid, self.recording.motion)
 
     @cached_property
     def plates(self) -> dict[str, np.ndarray]:
@@ -316,7 +304,7 @@ class Evidence(_Moved):
         p = np.concatenate(known, axis=1)[self.inside]
         p = p[self.loaded(plate or foot)]
         x, y = p[..., 0], p[..., 1]
-        length = self.subject.model.human.foot.length_m + _HEEL_M
+        length = self.model.human.foot.length_m + _HEEL_M
         back = x.min(axis=1) - _HEEL_M
         span = np.ptp(x, axis=1)
         if len(p) and np.median(span) < _WHOLE * length:  # no heel marker
@@ -650,7 +638,7 @@ def body_checks(e: Evidence) -> Iterator[Check]:
     yield _standstill(e)
     yield from _floor(e)
     yield from _dynamics(e)
-    if e.subject.model.assembly.human.sides:
+    if e.model.assembly.human.sides:
         yield _belt(e)
         yield _end_joints(e)
     else:  # two legs: a step ends in mid-movement, and legs move differently
@@ -1434,7 +1422,7 @@ class _Difference:
     @staticmethod
     def of(e: Evidence, lag_s: float) -> "_Difference":
         """Difference in a trial, its clock shifted by an estimated lag [s]."""
-        trial, tree = e.trial, e.subject.model.tree
+        trial, tree = e.trial, e.model.tree
         time, angles = trial.start_s + trial.times, e.recording.angles
         signal = angles.delayed(lag_s)
         time = np.clip(time, signal.time[0], signal.time[-1])

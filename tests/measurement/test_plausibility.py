@@ -437,7 +437,8 @@ def test_what_the_difference_of_device_and_person_depends_on(folder):
     study = read_study(folder / "study.yaml")
     (trial,) = study.trials()
     recording = study.recordings.used(study.file.trials[0])
-    e = Evidence(study.file.trials[0], trial, recording, study.subject)
+    files, subject = study.file.trials[0], study.subject
+    e = Evidence(trial, study.model, files, recording, subject)
     found = plausibility._Difference.of(e, 0.02)
     n, joints = len(trial.times), 3
     d, v, a = recording.angles.motion(trial.start_s + trial.times + 0.02)

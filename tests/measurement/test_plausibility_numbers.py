@@ -33,33 +33,31 @@ def made(**motion) -> Evidence:
     motion = {"time": TIME, "feet": {}, "legs": {}} | motion
     sides = motion.pop("sides", ())
     named = "ankle", "knee", "hip"
-    e = Evidence(
-        SimpleNamespace(
-            markers="m.trc", forces="f.mot", encoders="e.csv", loads=()
-        ),
-        Cut(
-            name="one",
-            start_s=1.5,
-            duration=0.49,
-            times=np.arange(N) / 100.0,
-            coordinates=SimpleNamespace(
-                human=named,
-                device=tuple(f"exo_{joint}" for joint in named),
-                turned_by=np.eye(3),
-                body_columns=np.arange(6),
-                device_columns=np.arange(6, 9),
-                follows=lambda name: name.removeprefix("exo_"),
-            ),
-        ),
-        SimpleNamespace(motion=SimpleNamespace(**motion)),
-        SimpleNamespace(
-            model=SimpleNamespace(
-                rigid=SimpleNamespace(tree=SimpleNamespace(weight=WEIGHT)),
-                human=SimpleNamespace(foot=SimpleNamespace(length_m=0.25)),
-                assembly=SimpleNamespace(human=SimpleNamespace(sides=sides)),
-            )
+    trial = Cut(
+        name="one",
+        start_s=1.5,
+        duration=0.49,
+        times=np.arange(N) / 100.0,
+        coordinates=SimpleNamespace(
+            human=named,
+            device=tuple(f"exo_{joint}" for joint in named),
+            turned_by=np.eye(3),
+            body_columns=np.arange(6),
+            device_columns=np.arange(6, 9),
+            follows=lambda name: name.removeprefix("exo_"),
         ),
     )
+    model = SimpleNamespace(
+        rigid=SimpleNamespace(tree=SimpleNamespace(weight=WEIGHT)),
+        human=SimpleNamespace(foot=SimpleNamespace(length_m=0.25)),
+        assembly=SimpleNamespace(human=SimpleNamespace(sides=sides)),
+    )
+    files = SimpleNamespace(
+        markers="m.trc", forces="f.mot", encoders="e.csv", loads=()
+    )
+    recording = SimpleNamespace(motion=SimpleNamespace(**motion))
+    subject = SimpleNamespace(model=model)
+    e = Evidence(trial, model, files, recording, subject)
     assert e.inside.sum() == N
     return e
 
