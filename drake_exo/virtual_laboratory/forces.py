@@ -6,7 +6,7 @@ seat-off. The foot stands on soles in a frame that is level in quiet standing.
 """
 
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -25,7 +25,7 @@ from drake_exo.contact.hunt_crossley import (
     SphereWrench,
     hertz_factor,
 )
-from drake_exo.contact.parameters import GroundContact
+from drake_exo.contact.parameters import ContactSphere, GroundContact
 from drake_exo.contact.scalars import sqrt
 from drake_exo.contact.systems import (
     applied_force,
@@ -135,65 +135,33 @@ class Cuffs(LeafSystem):
         output.set_value(entries)
 
 
+# The part of the pelvis that sits, in the pelvis link; it and the seat as one.
+BUTTOCKS = ContactSphere(2.5e6, 1.0, x=-0.03, z=-0.06, radius=0.07)
 _LAW = "simbody"
+_CONSTANTS = SimbodyConstants(static_friction=0.6, dynamic_friction=0.6)
 _CLEARANCE_M = 0.05
 
 
-@dataclass(frozen=True)
-class SeatParameters:
-    """A horizontal seat and the part of the pelvis that sits on it.
-
-    Attributes:
-        height_m: height of the unloaded seat above the floor.
-        x_m, z_m: centre of the buttocks' sphere in the pelvis link.
-        radius_m: radius of that sphere.
-        modulus_n_m2, dissipation_s_m: of the law "simbody", both sides as one.
-        constants: friction and smoothing of that law.
-    """
-
-    height_m: float
-    x_m: float = -0.03
-    z_m: float = -0.06
-    radius_m: float = 0.07
-    modulus_n_m2: float = 2.5e6
-    dissipation_s_m: float = 1.0
-    constants: SimbodyConstants = field(
-        default_factory=lambda: SimbodyConstants(
-            static_friction=0.6, dynamic_friction=0.6
-        )
-    )
-
-    def depth(self, force: float) -> float:
-        """Static indentation [m] under a vertical force [N]."""
-        factor = hertz_factor(_LAW, self.modulus_n_m2, self.radius_m)
-        return float((force / factor) ** (2.0 / 3.0))
+def seat_depth(force: float) -> float:
+    """Static indentation [m] of a seat under a vertical force [N]."""
+    factor = hertz_factor(_LAW, BUTTOCKS.stiffness, BUTTOCKS.radius)
+    return float((force / factor) ** (2.0 / 3.0))
 
 
-def seat_wrench(
-    seat: SeatParameters, position, direction, motion
-) -> SphereWrench:
+def seat_wrench(seat: float, position, direction, motion) -> SphereWrench:
     """Force of the seat on the pelvis, and the world point where it acts.
 
     Args:
-        seat: the chair.
+        seat: height of the unloaded seat above the floor [m].
         position, direction, motion: of the pelvis, (x, z) [m], (cosine, sine)
             and (v_x, v_z, rate); entries of any common shape (...).
 
     Returns:
         Entries of shape (...).
     """
-    sphere = (
-        seat.modulus_n_m2,
-        seat.dissipation_s_m,
-        seat.x_m,
-        seat.z_m,
-        seat.radius_m,
-    )
-    above = (position[0], position[1] - seat.height_m)
-    wrench = foot_contact(
-        _LAW, above, direction, motion, sphere, seat.constants
-    )
-    return wrench._replace(point_z=wrench.point_z + seat.height_m)
+    sphere, above = astuple(BUTTOCKS), (position[0], position[1] - seat)
+    wrench = foot_contact(_LAW, above, direction, motion, sphere, _CONSTANTS)
+    return wrench._replace(point_z=wrench.point_z + seat)
 
 
 class Seat(LeafSystem):
@@ -203,17 +171,17 @@ class Seat(LeafSystem):
 
     Args:
         plant: plant with the link pelvis.
-        seat: the chair.
+        seat: height of the unloaded seat above the floor [m].
     """
 
-    def __init__(self, plant: MultibodyPlant, seat: SeatParameters):
+    def __init__(self, plant: MultibodyPlant, seat: float):
         super().__init__()
         self.set_name("seat")
         self._pelvis = plant.GetBodyByName("pelvis").index()
         self._seat = seat
         # With the pelvis above this no posture reaches the seat.
-        reach = np.hypot(seat.x_m, seat.z_m) + seat.radius_m
-        self._clear_z = seat.height_m + reach + _CLEARANCE_M
+        reach = np.hypot(BUTTOCKS.x, BUTTOCKS.z) + BUTTOCKS.radius
+        self._clear_z = seat + reach + _CLEARANCE_M
         declare_force_ports(self, float, self._calc_spatial_forces)
 
     def _calc_spatial_forces(self, context, output):
@@ -250,9 +218,7 @@ def ground_wrench(
     return _total(wrench)
 
 
-def chair_wrench(
-    tree: PlanarTree, seat: SeatParameters | None, q, v
-) -> PlanarWrench:
+def chair_wrench(tree: PlanarTree, seat: float | None, q, v) -> PlanarWrench:
     """Wrench of the chair (N samples) on the pelvis; zero without one."""
     if seat is None:
         return PlanarWrench(np.zeros((len(q), 2)), np.zeros(len(q)))
@@ -289,7 +255,7 @@ def applied(
     tree: PlanarTree,
     contact: GroundContact,
     cuffs: dict[str, Cuff],
-    seat: SeatParameters | None,
+    seat: float | None,
     q,
     v,
 ) -> np.ndarray:

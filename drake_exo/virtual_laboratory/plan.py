@@ -32,9 +32,10 @@ from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model
 from drake_exo.virtual_laboratory.forces import (
-    SeatParameters,
+    BUTTOCKS,
     chair_wrench,
     resting_foot,
+    seat_depth,
 )
 
 _DEGREE = 5
@@ -134,15 +135,13 @@ class Planner:
         q = q.repeat(len(times), axis=0)
         return self._reference(None, times, q, 0.0 * q, 0.0 * q)
 
-    def seat(self, plan: RisePlan) -> SeatParameters:
-        """The chair of the height at which the seated posture is at rest."""
+    def seat(self, plan: RisePlan) -> float:
+        """Height of the seat [m] at which the seated posture is at rest."""
         q, share = self._seated(plan)
-        seat = SeatParameters(height_m=0.0)
-        z = self.tree.point_positions(q, "pelvis", (seat.x_m, seat.z_m))[0, 1]
-        depth = seat.depth(share * self.weight)
-        return SeatParameters(float(z) - seat.radius_m + depth)
+        z = self._buttocks(q)[0, 1]
+        return float(z) - BUTTOCKS.radius + seat_depth(share * self.weight)
 
-    def rise(self, plan: RisePlan, seat: SeatParameters) -> Trial:
+    def rise(self, plan: RisePlan, seat: float) -> Trial:
         """A sit-to-stand from the chair that `seat` gives for the plan."""
         times = plan.times
         begin, end = plan.quiet_s + plan.lean_s * np.array(_UNLOADING)
@@ -165,15 +164,19 @@ class Planner:
 
     def _seated(self, plan: RisePlan) -> tuple[np.ndarray, float]:
         """Seated coordinates (1, 6), and the chair's share of the weight."""
-        seat, share = SeatParameters(height_m=0.0), 0.6
+        share = 0.6
         for _ in range(3):
             load = np.array([self.weight * (1.0 - share)])
             foot = self._foot(load, plan.cop_m)
             q = np.hstack([foot, plan.seated.joints(foot[:, 2])])
-            p = self.tree.point_positions(q, "pelvis", (seat.x_m, seat.z_m))
+            p = self._buttocks(q)
             com = self.tree.center_of_mass(q)
             share = (com[0, 0] - plan.cop_m) / (p[0, 0] - plan.cop_m)
         return q, float(share)
+
+    def _buttocks(self, q: np.ndarray) -> np.ndarray:
+        place = BUTTOCKS.x, BUTTOCKS.z
+        return self.tree.point_positions(q, "pelvis", place)
 
     def _foot(self, load: np.ndarray, cop_m: float) -> np.ndarray:
         return resting_foot(self.tree, self.contact, load, cop_m)

@@ -20,7 +20,6 @@ from drake_exo.model.plant import Model
 from drake_exo.virtual_laboratory.forces import (
     Cuffs,
     Seat,
-    SeatParameters,
     applied,
     chair_wrench,
     feet,
@@ -43,7 +42,7 @@ def simulate(
     name: str,
     truth: Truth,
     reference: Trial,
-    seat: SeatParameters | None = None,
+    seat: float | None = None,
     help_share: tuple[float, ...] = (),
     span: tuple[float, float] = (0.0, 1.0),
     progress: Progress | None = None,
@@ -57,7 +56,7 @@ def simulate(
         name: of the trial.
         truth: the subject.
         reference: its plan.
-        seat: the chair, if there is one.
+        seat: height of the chair's seat [m], if there is one.
         help_share: share of the gravity torque at ankle, knee and hip that the
             exoskeleton gives; empty if it is passive.
         span: begin and end of the movement for the exoskeleton's design [s].
@@ -131,13 +130,13 @@ def _follower(
 
 
 def equilibrium(
-    truth: Truth, seat: SeatParameters | None, posture: np.ndarray
+    truth: Truth, seat: float | None, posture: np.ndarray
 ) -> np.ndarray:
     """Coordinates (nq,) in static equilibrium of foot, device and loads.
 
     Args:
         truth: the subject.
-        seat: the chair, if there is one.
+        seat: height of the chair's seat [m], if there is one.
         posture: (6,) of the rigid model; shank's attitude, knee, hip are kept.
     """
     tree, names = truth.model.tree, truth.model.coordinates

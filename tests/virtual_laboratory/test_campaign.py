@@ -412,7 +412,7 @@ def test_scans_are_taken_at_the_end_of_standing(job):
     assert job.asked[0][0] == "standing"
     plan = job.asked[0][1]
     assert plan.times[-1] == 2.0
-    cop = -plan.ground[0, 2] / plan.ground[0, 1]
+    cop = plan.ground.cop_x[0]
     assert cop == pytest.approx(0.045, abs=1e-3)
     assert q[0] == 3.0
     assert [mat.name for mat in mats] == [

@@ -19,7 +19,6 @@ from drake_exo.virtual_laboratory.forces import (
     Cuff,
     Cuffs,
     Seat,
-    SeatParameters,
     applied,
     chair_wrench,
     cuff_force,
@@ -70,7 +69,7 @@ def test_forces_of_the_diagram_are_those_of_the_record():
     rng = np.random.default_rng(1)
     truth = draw_truth(rng, RICH)
     tree, plant = truth.model.tree, truth.model.plant()
-    seat = SeatParameters(height_m=0.48)
+    seat = 0.48
     model = build_diagram(
         truth.model,
         ContactModel(truth.contact),

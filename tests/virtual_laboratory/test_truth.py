@@ -16,9 +16,10 @@ from drake_exo.model.plant import nominal_model
 from drake_exo.model.segments import CONTACT_RADIUS_M, SEGMENTS
 from drake_exo.virtual_laboratory import campaign, truth
 from drake_exo.virtual_laboratory.forces import (
+    BUTTOCKS,
     Cuff,
-    SeatParameters,
     cuff_force,
+    seat_depth,
     seat_wrench,
 )
 from drake_exo.virtual_laboratory.instruments import (
@@ -112,15 +113,14 @@ def test_a_cuff_stiffens_and_slips_by_the_formula():
 
 
 def test_a_seat_bears_its_load_at_the_static_depth():
-    seat = SeatParameters(height_m=0.45)
-    depth = seat.depth(500.0)
+    depth = seat_depth(500.0)
     # The sphere's lowest point that far below the seat.
-    z = 0.45 - depth + seat.radius_m - seat.z_m
-    w = seat_wrench(seat, (0.2, z), (1.0, 0.0), (0.0, 0.0, 0.0))
+    z = 0.45 - depth + BUTTOCKS.radius - BUTTOCKS.z
+    w = seat_wrench(0.45, (0.2, z), (1.0, 0.0), (0.0, 0.0, 0.0))
     assert w.force_z == pytest.approx(500.0, rel=0.05)  # smoothed
     assert w.force_x == pytest.approx(0.0, abs=1e-9)
     # Simbody's point, half the depth below the surfaces' middle.
-    assert w.point_x == pytest.approx(0.2 + seat.x_m, abs=1e-6)
+    assert w.point_x == pytest.approx(0.2 + BUTTOCKS.x, abs=1e-6)
     assert w.point_z == pytest.approx(0.45, abs=depth)
 
 
