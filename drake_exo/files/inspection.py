@@ -23,6 +23,7 @@ from drake_exo.files.tables import (
     PlateRecording,
     Table,
     comma_separated,
+    kind_of,
     read_csv_table,
     read_text,
     runs,
@@ -72,12 +73,7 @@ read; give one of .c3d, .trc, .mot, .sto, .csv, .asc, .osim, .stl, .obj, \
         ".osim": _of_model,
         **dict.fromkeys(_MESHES, _of_mesh),
     }
-    kind = Path(path).suffix.lower()
-    if kind not in readers:
-        raise InputError(
-            f"{path}: is not in a format that can be read; give one of "
-            f"{', '.join(readers)}"
-        )
+    kind = kind_of(path, readers, "in a format")
     return tuple(readers[kind](Path(path)))
 
 

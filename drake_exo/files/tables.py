@@ -47,6 +47,21 @@ def read_bytes(path: str | Path, remedy: str = "check the path") -> bytes:
         ) from error
 
 
+def kind_of(path: str | Path, known: Iterable[str], what: str) -> str:
+    """The suffix, in lower case, that tells the format of a file.
+
+    Raises:
+        InputError: it is none of those known; `what` says what is read.
+    """
+    kind = Path(path).suffix.lower()
+    if kind not in known:
+        raise InputError(
+            f"{path}: is not {what} that can be read; give one of "
+            f"{', '.join(known)}"
+        )
+    return kind
+
+
 def kept(count: int) -> Callable[[Reader], Reader]:
     """Decorator: cache a reader's results while the files do not change.
 

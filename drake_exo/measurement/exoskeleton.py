@@ -15,6 +15,7 @@ from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
 from drake_exo.files.tables import (
     Table,
+    kind_of,
     missing_column,
     read_csv_table,
     uniform_time,
@@ -121,8 +122,8 @@ def _read(path, joints, legs, settings: Filter, ending: str) -> Signal:
 
 
 def _table(path: Path, joints: tuple[str, ...], ending: str) -> Table:
-    kind = Path(path).suffix.lower()
-    if kind == ".csv":
+    kinds = ".mot", ".sto", ".csv"
+    if kind_of(path, kinds, "a file of exoskeleton joints") == ".csv":
         table = read_csv_table(path)
         what, known = _UNITS[ending]
         for name in _columns(table, joints, ending):
@@ -133,11 +134,6 @@ def _table(path: Path, joints: tuple[str, ...], ending: str) -> Table:
                     f"in {' or '.join(known)}"
                 )
         return table
-    if kind not in (".mot", ".sto"):
-        raise InputError(
-            f"{path}: is not a file of exoskeleton joints that can be read; "
-            "give one of .mot, .sto, .csv"
-        )
     table = read_table(path)
     if ending:
         return table

@@ -27,6 +27,7 @@ from drake_exo.files.pressure import (
 from drake_exo.files.tables import (
     LENGTHS,
     kept,
+    kind_of,
     uniform_time,
 )
 from drake_exo.measurement.filters import linear
@@ -41,7 +42,6 @@ from drake_exo.model.assembly import SIDES
 
 # Largest extent of a scan, of a body or a part of it [m].
 _PLAUSIBLE_M = (0.08, 3.0)
-_SUFFIXES = (".stl", ".ply", ".obj")
 _FARTHEST_M = 0.05  # of a mat's corner or cell from the surface
 _SAMPLES = 65  # points of a line projected onto the surface
 # |vector area| / area above this is a patch: 0 if closed, 0.64 half a cylinder.
@@ -100,11 +100,7 @@ def read_surface(path: Path, scan: Scan) -> Surface:
         InputError: unreadable, no triangles, a size impossible for a body in
             the study's unit, or a patch whose outer side is ambiguous.
     """
-    if Path(path).suffix.lower() not in _SUFFIXES:
-        raise InputError(
-            f"{path}: is not a scan that can be read; give one of "
-            f"{', '.join(_SUFFIXES)}"
-        )
+    kind_of(path, (".stl", ".ply", ".obj"), "a scan")
     return _surface(path, scan.unit, scan.axes)
 
 

@@ -17,6 +17,7 @@ from drake_exo.files.tables import (
     MarkerData,
     PlateRecording,
     between,
+    kind_of,
     runs,
     uniform_time,
 )
@@ -255,14 +256,11 @@ _FORCE_READERS = {
 }
 
 
-def _reader(path: Path, readers: dict, what: str):
-    kind = Path(path).suffix.lower()
-    if kind not in readers:
-        raise InputError(
-            f"{path}: is not a {what} file that can be read; give one of "
-            f"{', '.join(readers)}"
-        )
-    return readers[kind]
+def _read_plates(path: Path) -> tuple[np.ndarray, Mapping[int, PlateRecording]]:
+    """Even times (N,) [s] and plates of a force file."""
+    read = _FORCE_READERS[kind_of(path, _FORCE_READERS, "a force file")]
+    time, recorded = read(path)
+    return uniform_time(str(path), time), recorded
 
 
 def read_markers(path: Path, settings: Filter) -> MarkerData:
@@ -272,7 +270,8 @@ def read_markers(path: Path, settings: Filter) -> MarkerData:
         InputError: unreadable, of another kind, or uneven in time; too short
             or too slow for the filter.
     """
-    data = _reader(path, _MARKER_READERS, "marker")(path)
+    read = _MARKER_READERS[kind_of(path, _MARKER_READERS, "a marker file")]
+    data = read(path)
     time = uniform_time(data.source, data.time, data.rate_hz)
     check_filterable(data.source, len(time), data.rate_hz, settings.cutoff_hz)
     return MarkerData(
@@ -302,8 +301,7 @@ def read_foot_forces(
         InputError: unreadable, of another kind, or uneven in time; no such
             plate; too short or too slow for the filter; downward forces.
     """
-    time, recorded = _reader(path, _FORCE_READERS, "force")(path)
-    time = uniform_time(str(path), time)
+    time, recorded = _read_plates(path)
     plain = {}
     for foot in (*SIDES, "both", "chair"):
         used = [_plate(path, recorded, n) for n in plates.of(foot)]
@@ -327,8 +325,7 @@ def plates_under(
     Raises:
         InputError: unreadable, of another kind, uneven in time, no such plate.
     """
-    time, recorded = _reader(path, _FORCE_READERS, "force")(path)
-    time = uniform_time(str(path), time)
+    time, recorded = _read_plates(path)
     return time, [_plate(path, recorded, n) for n in numbers]
 
 

@@ -19,11 +19,10 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointIndex, ModelInstanceIndex
 
 from drake_exo.errors import InputError, first_line
-from drake_exo.files.tables import read_text
+from drake_exo.files.tables import kind_of, read_text
 from drake_exo.model.assembly import Assembly, DeviceFile, Weld
 from drake_exo.model.description import numbers
 
-_KINDS = (".sdf", ".urdf")
 _STRAIGHT = 1e-5  # tolerated deviation of an axis from y, as of 3.1416 for pi
 _FAR_M = 5.0  # of a device from the person; more is in millimetres
 
@@ -47,11 +46,7 @@ def with_text(assembly: Assembly, root: Path) -> Assembly:
             f"{path}: is a xacro file; expand it first ('xacro {path.name} > "
             f"{path.stem}.urdf') and give what comes out"
         )
-    if path.suffix.lower() not in _KINDS:
-        raise InputError(
-            f"{path}: is not a device that can be read; give one of "
-            f"{', '.join(_KINDS)}"
-        )
+    kind_of(path, (".sdf", ".urdf"), "a device")
     return brought_in(assembly, read_text(path, "check model.device.file"))
 
 
