@@ -19,7 +19,7 @@ import dataclasses
 import re
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -89,7 +89,7 @@ def load_text(text: str, cls: type[T], name: str = "<text>") -> T:
         node = yaml.MappingNode(
             "tag:yaml.org,2002:map", [], yaml.Mark(name, 0, 0, 0, None, None)
         )
-    return _Reader(name).read(node, cls, "", {})
+    return _Item(name, node).read(cls)
 
 
 def check(settings: T, cls: type[T], name: str) -> T:
@@ -105,7 +105,7 @@ def check(settings: T, cls: type[T], name: str) -> T:
         raise InputError(
             f"{name}: {first_line(str(error.args[-1]))}"
         ) from error
-    return _Reader(name).read(node, type(settings), "", {})
+    return _Item(name, node).read(type(settings))
 
 
 def checked(given, cls: type, what: str, usual=None):
@@ -174,103 +174,110 @@ class _Settings(yaml.representer.SafeRepresenter):
 _Settings.add_representer(str, _Settings.represent_str)
 
 
-class _Reader:
-    """Turns YAML nodes into typed values; `name` is the file in messages."""
+class _Item:
+    """A YAML node that becomes a typed value, and what messages say of it.
 
-    def __init__(self, name: str):
-        self.name = name
+    Args:
+        file: name of the file.
+        node: the node.
+        where: dotted key; empty for the whole file.
+        meta: metadata of the field that holds it.
+    """
 
-    def error(self, node: yaml.Node, message: str) -> InputError:
-        mark = node.start_mark  # None for settings made in Python
+    def __init__(
+        self,
+        file: str,
+        node: yaml.Node,
+        where: str = "",
+        meta: Mapping = types.MappingProxyType({}),
+    ):
+        self.file, self.node, self.where, self.meta = file, node, where, meta
+
+    def error(self, message: str, node: yaml.Node | None = None) -> InputError:
+        """An error in the line of this node, or of one below."""
+        mark = (node or self.node).start_mark  # None for settings of Python
         line = f":{mark.line + 1}" if mark else ""
-        return InputError(f"{self.name}{line}: {message}")
+        return InputError(f"{self.file}{line}: {message}")
 
-    def read(
-        self, node: yaml.Node, hint: Any, where: str, meta: Mapping
-    ) -> Any:
-        """The value of `node` as type `hint`; `where` is the dotted key."""
+    def read(self, hint: Any) -> Any:
+        """The value as type `hint`."""
         origin = typing.get_origin(hint)
         if dataclasses.is_dataclass(hint):
-            return self._dataclass(node, hint, where)
+            return self._dataclass(hint)
         if origin is typing.Union or origin is types.UnionType:
-            return self._union(node, hint, where, meta)
+            return self._union(typing.get_args(hint))
         if origin is Literal:
-            return self._literal(node, hint, where)
+            return self._literal(typing.get_args(hint))
         if origin in (list, tuple):
-            return self._sequence(node, hint, where, meta)
+            return self._sequence(origin, typing.get_args(hint))
         if origin is dict:
-            return self._dict(node, hint, where, meta)
-        return self._scalar(node, hint, where, meta)
+            return self._dict(*typing.get_args(hint))
+        return self._scalar(hint)
 
-    def _mapping(self, node: yaml.Node, where: str) -> dict:
+    def _mapping(self) -> dict[str, tuple[yaml.Node, yaml.Node]]:
         """Key text -> (key node, value node), refusing duplicates."""
-        if not isinstance(node, yaml.MappingNode):
+        if not isinstance(self.node, yaml.MappingNode):
             raise self.error(
-                node,
-                f"{where or 'the file'} must hold 'key: value' pairs, "
-                f"but holds {_describe(node)}",
+                f"{self.where or 'the file'} must hold 'key: value' pairs, "
+                f"but holds {_describe(self.node)}"
             )
         items: dict[str, tuple[yaml.Node, yaml.Node]] = {}
-        for key, value in node.value:
+        for key, value in self.node.value:
             if not isinstance(key, yaml.ScalarNode):
-                raise self.error(key, "a key must be a plain word")
+                raise self.error("a key must be a plain word", key)
             if key.value in items:
                 first = items[key.value][0].start_mark.line + 1
                 raise self.error(
+                    f"duplicate key {key.value!r}{self._inside}, already given "
+                    f"in line {first}; keep one of them",
                     key,
-                    f"duplicate key {key.value!r}{_inside(where)}, already "
-                    f"given in line {first}; keep one of them",
                 )
             items[key.value] = (key, value)
         return items
 
-    def _dataclass(self, node: yaml.Node, cls: type, where: str) -> Any:
-        items, hints = self._mapping(node, where), keys(cls)
+    @property
+    def _inside(self) -> str:
+        return f" in {self.where}" if self.where else ""
+
+    def _dataclass(self, cls: type) -> Any:
+        items, hints = self._mapping(), keys(cls)
         fields = {_key(f): f for f in dataclasses.fields(cls) if f.init}
         for text, (key, _) in items.items():
             if text not in fields:
                 known = f"; known keys are {', '.join(fields)}"
                 hint = nearest(text, fields) or known
                 raise self.error(
-                    key, f"unknown key {text!r}{_inside(where)}{hint}"
+                    f"unknown key {text!r}{self._inside}{hint}", key
                 )
         values = {}
         for name, field in fields.items():
             if name in items:
-                values[field.name] = self.read(
-                    items[name][1],
-                    hints[name],
-                    f"{where}.{name}" if where else name,
-                    field.metadata,
-                )
+                where = f"{self.where}.{name}" if self.where else name
+                item = _Item(self.file, items[name][1], where, field.metadata)
+                values[field.name] = item.read(hints[name])
             elif field.default is field.default_factory is dataclasses.MISSING:
                 unit = field.metadata.get("unit")
                 raise self.error(
-                    node,
-                    f"missing key {name!r}{_inside(where)}; add "
-                    f"'{name}: ...'" + (f" [{unit}]" if unit else ""),
+                    f"missing key {name!r}{self._inside}; add "
+                    f"'{name}: ...'" + (f" [{unit}]" if unit else "")
                 )
         try:
             return cls(**values)
         except (InputError, ValueError) as error:
             # A message that begins with a key gets the line of that key.
             named = re.match(r"\w*", str(error)).group()
-            raise self.error(
-                items.get(named, [node])[0],
-                f"{where + ': ' if where else ''}{error}",
-            ) from error
+            where = f"{self.where}: " if self.where else ""
+            at = items.get(named, [None])[0]
+            raise self.error(f"{where}{error}", at) from error
 
-    def _union(
-        self, node: yaml.Node, hint: Any, where: str, meta: Mapping
-    ) -> Any:
-        options = typing.get_args(hint)
-        if _is_null(node) and type(None) in options:
+    def _union(self, options: Sequence) -> Any:
+        if _is_null(self.node) and type(None) in options:
             return None
         options = [o for o in options if o is not type(None)]
         errors = []
         for option in options:
             try:
-                return self.read(node, option, where, meta)
+                return self.read(option)
             except InputError as error:
                 errors.append(error)
         # Report the error of the option that was meant: a dataclass if the
@@ -278,111 +285,96 @@ class _Reader:
         fitting = [
             e
             for e, o in zip(errors, options, strict=True)
-            if _same_shape(node, o)
+            if _same_shape(self.node, o)
         ]
         raise (fitting or errors)[0]
 
-    def _literal(self, node: yaml.Node, hint: Any, where: str) -> Any:
-        choices = typing.get_args(hint)
-        text = node.value if isinstance(node, yaml.ScalarNode) else None
-        for choice in choices:
-            if text == str(choice):
-                return choice
-        names = ", ".join(str(c) for c in choices)
+    def _literal(self, choices: Sequence) -> Any:
+        is_scalar = isinstance(self.node, yaml.ScalarNode)
+        text = self.node.value if is_scalar else None
+        named = {str(choice): choice for choice in choices}
+        if text in named:
+            return named[text]
         raise self.error(
-            node,
-            f"{where} must be one of {names}, but is "
-            f"{_describe(node)}{nearest(text, [str(c) for c in choices])}",
+            f"{self.where} must be one of {', '.join(named)}, but is "
+            f"{_describe(self.node)}{nearest(text, named)}"
         )
 
-    def _sequence(
-        self, node: yaml.Node, hint: Any, where: str, meta: Mapping
-    ) -> Any:
-        kind, args = typing.get_origin(hint), typing.get_args(hint)
-        if not isinstance(node, yaml.SequenceNode):
+    def _sequence(self, kind: type, args: Sequence) -> Any:
+        where, items = self.where, self.node.value
+        if not isinstance(self.node, yaml.SequenceNode):
             raise self.error(
-                node, f"{where} must be a list, but is {_describe(node)}"
+                f"{where} must be a list, but is {_describe(self.node)}"
             )
-        count = len(node.value)
         if kind is list or args[-1] is Ellipsis:
-            args = (args[0],) * count
-        elif len(args) != count:
+            args = (args[0],) * len(items)
+        elif len(args) != len(items):
             raise self.error(
-                node, f"{where} must hold {len(args)} values, not {count}"
+                f"{where} must hold {len(args)} values, not {len(items)}"
             )
-        values = [
-            self.read(item, arg, f"{where}[{i}]", meta)
-            for i, (item, arg) in enumerate(zip(node.value, args, strict=True))
-        ]
-        return kind(values)
+        return kind(
+            _Item(self.file, item, f"{where}[{i}]", self.meta).read(arg)
+            for i, (item, arg) in enumerate(zip(items, args, strict=True))
+        )
 
-    def _dict(
-        self, node: yaml.Node, hint: Any, where: str, meta: Mapping
-    ) -> dict:
-        key_hint, value_hint = typing.get_args(hint)
-        result = {}
-        for text, (key, value) in self._mapping(node, where).items():
-            name = self.read(key, key_hint, f"key {text!r} of {where}", {})
-            result[name] = self.read(value, value_hint, f"{where}.{text}", meta)
-        return result
+    def _dict(self, key_hint: Any, value_hint: Any) -> dict:
+        found = {}
+        for text, (key, value) in self._mapping().items():
+            name = _Item(self.file, key, f"key {text!r} of {self.where}")
+            item = _Item(self.file, value, f"{self.where}.{text}", self.meta)
+            read = name.read(key_hint)
+            found[read] = item.read(value_hint)
+        return found
 
-    def _scalar(
-        self, node: yaml.Node, hint: Any, where: str, meta: Mapping
-    ) -> Any:
+    def _scalar(self, hint: Any) -> Any:
+        node, where = self.node, self.where
         if hint is Any:
             try:
                 return _Values("").construct_object(node, deep=True)
             except (yaml.YAMLError, ValueError) as error:
                 raise self.error(
-                    node,
-                    f"{where} is not a text, number, list or mapping; give one",
+                    f"{where} is not a text, number, list or mapping; give one"
                 ) from error
         if not isinstance(node, yaml.ScalarNode) or _is_null(node):
-            raise self._wrong(node, hint, where, meta)
+            raise self._wrong(hint)
         text = node.value
         if hint in (str, Path):
             if _CONTROL.search(text):
                 raise self.error(
-                    node,
                     f"{where} is {_short(ascii(text))}, with a character that "
-                    "cannot be printed; remove it",
+                    "cannot be printed; remove it"
                 )
             return hint(text)
         if node.style is not None:  # quoted: meant as text
-            raise self._wrong(node, hint, where, meta)
+            raise self._wrong(hint)
         if hint is bool:
             if text.lower() in _TRUE + _FALSE:
                 return text.lower() in _TRUE
-            raise self._wrong(node, hint, where, meta)
+            raise self._wrong(hint)
         if hint not in (int, float):
             raise TypeError(f"{where}: schema cannot read {hint}")
-        return self._number(node, hint, where, meta)
+        return self._number(hint, text)
 
-    def _number(
-        self, node: yaml.Node, hint: Any, where: str, meta: Mapping
-    ) -> int | float:
-        text = node.value
+    def _number(self, hint: type, text: str) -> int | float:
         if text.lstrip("+-.").lower() in _NOT_FINITE:
             raise self.error(
-                node, f"{where} is {text}, but must be a finite number"
+                f"{self.where} is {text}, but must be a finite number"
             )
         try:
             value = hint(text)
         except ValueError as error:
-            raise self._wrong(node, hint, where, meta) from error
+            raise self._wrong(hint) from error
         if not abs(value) <= _LARGEST:
             raise self.error(
-                node, f"{where} is {_short(text)}, which is too large"
+                f"{self.where} is {_short(text)}, which is too large"
             )
         try:
-            check_bounds(where, value, meta, _short(text))
+            check_bounds(self.where, value, self.meta, _short(text))
         except InputError as error:
-            raise self.error(node, str(error)) from error
+            raise self.error(str(error)) from error
         return value
 
-    def _wrong(
-        self, node: yaml.Node, hint: Any, where: str, meta: Mapping
-    ) -> InputError:
+    def _wrong(self, hint: type) -> InputError:
         words = {
             float: "a number",
             int: "a whole number",
@@ -390,10 +382,10 @@ class _Reader:
             str: "text",
             Path: "a path",
         }
-        unit = f" [{meta['unit']}]" if meta.get("unit") else ""
+        unit = f" [{self.meta['unit']}]" if self.meta.get("unit") else ""
         return self.error(
-            node,
-            f"{where} must be {words[hint]}{unit}, but is {_describe(node)}",
+            f"{self.where} must be {words[hint]}{unit}, but is "
+            f"{_describe(self.node)}"
         )
 
 
@@ -462,7 +454,3 @@ def _describe(node: yaml.Node) -> str:
 
 def _short(text: str) -> str:
     return text if len(text) <= _LONGEST else text[:_LONGEST] + "..."
-
-
-def _inside(where: str) -> str:
-    return f" in {where}" if where else ""
