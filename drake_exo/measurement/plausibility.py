@@ -190,13 +190,12 @@ class Made:
     @cached_property
     def measured(self) -> np.ndarray:
         """Measured counterpart (n, 3) of `needed`."""
-        trial = self.trial
-        loads = (
-            trial.ground,
-            *trial.chair_loads().values(),
-            *trial.applied.values(),
-        )
-        return sum(w.array for w in loads)
+        parts = [
+            share * wrench.array
+            for shares, wrench in self.trial.borne()
+            for share in shares.values()
+        ]
+        return sum(parts, self.trial.ground.array)
 
     def pitch_error(self, turned: bool = False) -> float:
         """RMS residual moment of Euler's law [N m].

@@ -307,13 +307,6 @@ class Trial:
         }
         return {name: share for name, share in parts.items() if share > 0.0}
 
-    def chair_loads(self) -> dict[str, PlanarWrench]:
-        """Segment -> wrench (n,) of the chair, for inverse dynamics."""
-        return {
-            name: self.chair.scaled(share)
-            for name, share in self.chair_shares.items()
-        }
-
     def loads(self, root: str) -> dict[str, PlanarWrench]:
         """Segment -> external wrench (n,) on it, for inverse dynamics.
 
@@ -322,9 +315,10 @@ class Trial:
         """
         ground = {f"foot_{side}": w for side, w in self.feet.items()}
         found = ground or {root: self.ground}
-        for more in (self.chair_loads(), self.applied):
-            for body, wrench in more.items():
-                found[body] = found[body] + wrench if body in found else wrench
+        for shares, wrench in self.borne():
+            for body, share in shares.items():
+                part = wrench.scaled(share)
+                found[body] = found[body] + part if body in found else part
         return found
 
     def borne(self) -> list[tuple[dict[str, float], PlanarWrench]]:

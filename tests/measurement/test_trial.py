@@ -236,10 +236,15 @@ def test_a_chair_acts_on_pelvis_and_thighs(trial, whole):
     assert whole.chair_shares == {"pelvis": 0.75, "thigh": 0.25}
     alone = replace(whole, chair_on_thighs=0.0)
     assert alone.chair_shares == {"pelvis": 1.0}
-    total = sum(load.array for load in whole.chair_loads().values())
-    np.testing.assert_allclose(total, whole.chair.array)
+    stands = replace(whole, chair=None)
+    seated, risen = (
+        sum(load.array for load in each.loads("foot").values())
+        for each in (whole, stands)
+    )
+    np.testing.assert_allclose(seated - risen, whole.chair.array)
     nobody = PlanarWrench.of(np.zeros((51, 3)))
-    assert replace(whole, chair=nobody).chair_loads() == {}
+    assert replace(whole, chair=nobody).chair_shares == {}
+    assert replace(whole, chair=nobody).borne() == stands.borne()
 
 
 @pytest.mark.parametrize(
