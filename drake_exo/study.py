@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Sequence
 from copy import copy, deepcopy
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -908,16 +908,11 @@ def calibrate_foot_ground(
     check_type(study, Study, "study")
     trials = study.trials("calibration") if trials is None else _given(trials)
     study.warn_of(trials)
-
-    def pose(refined):
-        return FootGroundCalibration(
-            study.model,
-            trials,
-            study.foot_ground,
-            ground=study.ground,
-            refined=refined,
-        )
-
+    pose = partial(
+        FootGroundCalibration,
+        *(study.model, trials, study.foot_ground),
+        ground=study.ground,
+    )
     result = solve(pose, "calibrate foot-ground", folder, resume)
     return Calibration("foot-ground", copy(study), result)
 
@@ -957,31 +952,16 @@ def calibrate_interaction(
     if contact is None:
         contact = calibrate_foot_ground(study, trials)
     ground = study.worn(contact)
-
     title = "calibrate interaction"
-    coarse = _coarse(study.interaction)
-
-    def timing(trials, solved):
-        return InteractionCalibration(
-            study.model, trials, ground, coarse, solved=solved
-        )
-
+    made = partial(InteractionCalibration, study.model, contact=ground)
+    timing = partial(made, settings=_coarse(study.interaction))
     timed, clocks = settle(trials, timing, f"{title}, clocks")
     if timed is not None and timed.solution.was_stopped:
         return Calibration("interaction", copy(study), timed)
     on_time = [retimed(t, clocks) for t in trials]
     near = timed if clocks else None
-
-    def pose(refined):
-        return InteractionCalibration(
-            study.model,
-            on_time,
-            ground,
-            study.interaction,
-            refined=refined,
-            solved=() if near is None else near.trials,
-        )
-
+    solved = () if near is None else near.trials
+    pose = partial(made, on_time, settings=study.interaction, solved=solved)
     result = solve(pose, title, folder, resume, near)
     if timed is not None:
         add_up(result.solution, timed.solution)
@@ -1039,10 +1019,7 @@ def _timing(
     if contact.posterior is None or not timed:
         return None, []
     settings = _coarse(study.interaction)
-
-    def pose(trials, solved):
-        return Timing(study.model, trials, contact, settings, solved)
-
+    pose = partial(Timing, study.model, contact=contact, settings=settings)
     return settle([trial], pose, f"time {trial.name}")
 
 
@@ -1117,18 +1094,12 @@ def predict(
     )
     kind = PeriodicStep if settings.ends == "periodic" else PredictionProblem
     answers = {trial.name: springs_answer(trial, study.device)}
-
-    def pose(refined):
-        return kind(
-            study.model,
-            [trial],
-            scaled,
-            settings,
-            controller=controller,
-            answers=answers,
-            refined=refined,
-        )
-
+    pose = partial(
+        kind,
+        *(study.model, [trial], scaled, settings),
+        controller=controller,
+        answers=answers,
+    )
     start = None if near is None else near.result
     result = solve(pose, f"predict {trial.name}", folder, resume, start)
     return _prediction(result, own)

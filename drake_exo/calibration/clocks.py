@@ -186,7 +186,7 @@ def retimed(trial: Trial, clocks: Iterable[Clock]) -> Trial:
 
 def settle(
     trials: Sequence[Trial],
-    pose: Callable[[Sequence[Trial], Sequence[Trial]], PhaseProblem],
+    pose: Callable[..., PhaseProblem],
     title: str,
 ) -> tuple[PhaseResult | None, list[Clock]]:
     """Find the clocks of trials by solving them again and again.
@@ -197,7 +197,7 @@ def settle(
 
     Args:
         trials: as recorded.
-        pose: makes the phase from trials and, if any, solutions of them.
+        pose: makes the phase from `trials` and, if any, their `solved` ones.
         title: beginning of every line of progress.
 
     Returns:
@@ -208,7 +208,8 @@ def settle(
     result, found = None, []
     for number in range(_PASSES):
         now = [retimed(t, found) for t in trials]
-        problem = pose(now, () if result is None else result.trials)
+        solved = () if result is None else result.trials
+        problem = pose(trials=now, solved=solved)
         if not any(u.trial in recorded for u in problem.errors.unknowns):
             return None, []
         again = problem.solve(on_iterate=SolveWatch(title), near=result)

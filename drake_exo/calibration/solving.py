@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from drake_exo.calibration.audit import (
     MOMENT_TOLERANCE,
     between_nodes,
 )
-from drake_exo.calibration.problem import Parts, PhaseProblem, PhaseResult
+from drake_exo.calibration.problem import PhaseProblem, PhaseResult
 from drake_exo.errors import InputError, path_of
 from drake_exo.files.output import Progress, read_arrays
 from drake_exo.nlp.ipopt import Iterate, Solution
@@ -79,7 +79,7 @@ class SolveWatch:
 
 
 def solve(
-    pose: Callable[[Mapping[str, Parts]], PhaseProblem],
+    pose: Callable[..., PhaseProblem],
     title: str,
     folder: str | Path | None = None,
     resume: bool = False,
@@ -96,8 +96,8 @@ def solve(
     less the change of length disturbs the solution.
 
     Args:
-        pose: makes the phase from the refinement of its grids, see `refined`
-            of `PhaseProblem`.
+        pose: makes the phase with a refinement of its grids, see `refined` of
+            `PhaseProblem`.
         title: beginning of every line of progress.
         folder: where checkpoint.npz is written while solving; it stays there
             until `forget`, since audits come before results are written. None
@@ -114,13 +114,13 @@ def solve(
         InputError: the checkpoint belongs to another problem, or is damaged;
             `resume` without a folder; or see `infeasibility.check`.
     """
-    problem = pose(near.problem.refined if near else {})
+    problem = pose(refined=near.problem.refined if near else {})
     result = _solve_first(problem, title, folder, resume, near)
     for _ in range(REFINEMENTS):
         refined = finer(result) if result.success else None
         if not refined:
             break
-        problem = pose(refined)
+        problem = pose(refined=refined)
         nodes = sum(len(m.grid.times) for m in problem.movements)
         again = problem.solve(
             on_iterate=SolveWatch(f"{title}, {nodes} nodes"), near=result

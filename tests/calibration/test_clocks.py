@@ -466,9 +466,9 @@ def test_lags_that_do_not_settle_are_not_sure(in_device, monkeypatch):
     result = SimpleNamespace(success=True, trials=trials, solution=solution)
     posed = []
 
-    def pose(now, solved):
-        posed.append(now[0])
-        errors = ErrorModel(model, now, sizes, solved=solved)
+    def pose(trials, solved):
+        posed.append(trials[0])
+        errors = ErrorModel(model, trials, sizes, solved=solved)
         return SimpleNamespace(errors=errors, solve=lambda **_: result)
 
     def posterior(_):
