@@ -24,20 +24,10 @@ from drake_exo.files.pressure import (
     read_pressure_csv,
     split,
 )
-from drake_exo.files.tables import (
-    LENGTHS,
-    kept,
-    kind_of,
-    uniform_time,
-)
+from drake_exo.files.tables import LENGTHS, kept, kind_of, uniform_time
 from drake_exo.measurement.filters import linear
 from drake_exo.measurement.sagittal import Axes
-from drake_exo.measurement.settings import (
-    Filter,
-    Mat,
-    PressureFile,
-    Scan,
-)
+from drake_exo.measurement.settings import Filter, Mat, PressureFile, Scan
 from drake_exo.model.assembly import SIDES
 
 # Largest extent of a scan, of a body or a part of it [m].

@@ -22,9 +22,7 @@ from drake_exo.files.tables import (
     uniform_time,
 )
 from drake_exo.measurement.filters import check_filterable, resample
-from drake_exo.measurement.sagittal import (
-    PlanarWrench,
-)
+from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import (
     Filter,
     Laboratory,

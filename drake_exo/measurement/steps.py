@@ -24,15 +24,8 @@ from drake_exo.measurement.recording import (
     plates_under,
     read_markers,
 )
-from drake_exo.measurement.sagittal import (
-    COP_THRESHOLD_N,
-    Axes,
-)
-from drake_exo.measurement.settings import (
-    RecordingSettings,
-    Side,
-    TrialFiles,
-)
+from drake_exo.measurement.sagittal import COP_THRESHOLD_N, Axes
+from drake_exo.measurement.settings import RecordingSettings, Side, TrialFiles
 
 _FLAT_SHARE = 0.2  # of a contact's frames counts as flat: slowest rotation
 _BELT_M_S = 0.2  # a flat foot that moves faster stands on a belt

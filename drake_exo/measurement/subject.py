@@ -24,11 +24,7 @@ from drake_exo.measurement.recording import (
     read_feet,
     read_markers,
 )
-from drake_exo.measurement.sagittal import (
-    Axes,
-    PlanarWrench,
-    merge_plates,
-)
+from drake_exo.measurement.sagittal import Axes, PlanarWrench, merge_plates
 from drake_exo.measurement.settings import (
     JointCentres,
     Markers,

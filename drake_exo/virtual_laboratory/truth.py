@@ -22,11 +22,7 @@ from drake_exo.files.tables import Table
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.description import fit_exoskeleton
 from drake_exo.model.plant import Model, nominal_model
-from drake_exo.model.segments import (
-    CONTACT_RADIUS_M,
-    SEGMENTS,
-    HumanParameters,
-)
+from drake_exo.model.segments import CONTACT_RADIUS_M, SEGMENTS, HumanParameters
 from drake_exo.virtual_laboratory.forces import Cuff, levelled
 from drake_exo.virtual_laboratory.plan import Friction
 
