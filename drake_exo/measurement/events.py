@@ -35,22 +35,22 @@ _CLEAR_S = 0.02  # least time between a whole contact and the file's ends
 
 @dataclass(frozen=True)
 class Rise:
-    """One sit-to-stand rise; times [s] are those of the recording.
+    """One sit-to-stand rise, as told in provenance; recording's times [s].
 
     Attributes:
         seat_off_s: when the chair no longer bears weight (if it never did:
             when the hips are lowest).
         halfway_s: when the hips pass half their vertical range.
         standing_s: when body weight is borne steadily, else at the top.
-        had_chair: whether a chair bore weight before.
-        is_steady: whether standing became steady before the next movement.
+        chair_bore_weight: whether a chair bore weight before.
+        standing_is_steady: whether it was, before the next movement.
     """
 
     seat_off_s: float
     halfway_s: float
     standing_s: float
-    had_chair: bool
-    is_steady: bool
+    chair_bore_weight: bool
+    standing_is_steady: bool
 
 
 def find_rises(

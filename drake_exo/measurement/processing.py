@@ -609,11 +609,7 @@ class Recordings:
         return {
             "markers": files.markers.as_posix(),
             "forces": files.forces.as_posix(),
-            "filter": {
-                "kind": "Butterworth, zero lag",
-                "cutoff_hz": self._filter.cutoff_hz,
-                "order": self._filter.order,
-            },
+            "filter": {"kind": "Butterworth, zero lag", **vars(self._filter)},
             "force_delay_s": clocks["forces"].lag_s,
             "delays_s": {name: c.lag_s for name, c in clocks.items()},
             "clocks": {name: c.said for name, c in clocks.items() if c.said},
@@ -806,15 +802,7 @@ def _bounds(files: TrialFiles, recording: Recording):
             )
         rise = found[files.rise - 1]
         start, end = rise.seat_off_s, rise.standing_s
-        how = {
-            "from": "rise",
-            "rise": files.rise,
-            "seat_off_s": rise.seat_off_s,
-            "halfway_s": rise.halfway_s,
-            "standing_s": rise.standing_s,
-            "chair_bore_weight": rise.had_chair,
-            "standing_is_steady": rise.is_steady,
-        }
+        how = {"from": "rise", "rise": files.rise, **vars(rise)}
         if files.seated_s > 0.0:
             start, how["seated_s"] = start - files.seated_s, files.seated_s
     if files.start_s is not None:

@@ -42,10 +42,10 @@ def test_seat_off_is_where_the_chair_is_empty(rise):
     _, chair, _ = rise
     at = np.searchsorted(TIME, found.seat_off_s - 1e-9)
     assert chair[at] < 0.05 * WEIGHT < chair[at - 1]
-    assert found.had_chair
+    assert found.chair_bore_weight
     assert found.halfway_s == pytest.approx(2.5, abs=0.02)
     # Standing: the swing of the force after the rise has settled.
-    assert 2.85 < found.standing_s < 3.05 and found.is_steady
+    assert 2.85 < found.standing_s < 3.05 and found.standing_is_steady
 
 
 @pytest.mark.parametrize("kg", [15.0, -15.0])
@@ -76,7 +76,7 @@ def test_a_squat_starts_at_its_lowest_point():
     hip = 0.9 - 0.4 * np.sin(np.pi * TIME / 6.0) ** 2
     (found,) = find(hip, np.zeros(600), np.full(600, WEIGHT))
     assert found.seat_off_s == pytest.approx(3.0)
-    assert not found.had_chair
+    assert not found.chair_bore_weight
 
 
 def test_the_chair_bears_until_a_twentieth_of_the_weight_is_left():
@@ -119,7 +119,7 @@ def test_who_falters_halfway_rises_all_the_same():
     hip += 0.5 * (smooth(4.5, 5.0) * 0.0)
     chair = 0.9 * WEIGHT * (1.0 - smooth(0.4, 1.0))
     (rise,) = find(hip, chair, WEIGHT - chair)
-    assert 0.8 < rise.seat_off_s < 1.05 and rise.had_chair
+    assert 0.8 < rise.seat_off_s < 1.05 and rise.chair_bore_weight
     assert 1.2 < rise.halfway_s < 1.6
     assert rise.standing_s > 2.8
 
@@ -135,7 +135,7 @@ def test_rise_cut_off_before_standing_is_steady(rise):
     chair = np.concatenate([chair, chair[::-1]])
     F_z = np.concatenate([F_z, F_z[::-1]])
     (found,) = find_rises(np.arange(560) / 100.0, hip, chair, F_z, WEIGHT)
-    assert not found.is_steady
+    assert not found.standing_is_steady
     assert found.standing_s == pytest.approx(2.79)
 
 
@@ -218,10 +218,10 @@ def test_standing_is_steady_within_a_tenth_for_a_tenth_of_a_second(rise):
     F_z[296:305] = WEIGHT  # nine samples are too few
     F_z[330:341] = 1.09 * WEIGHT  # eleven are 0.1 s
     (found,) = find(hip, chair, F_z)
-    assert found.is_steady and found.standing_s == pytest.approx(3.3)
+    assert found.standing_is_steady and found.standing_s == pytest.approx(3.3)
     F_z[330:341] = 1.11 * WEIGHT
     (found,) = find(hip, chair, F_z)
-    assert not found.is_steady
+    assert not found.standing_is_steady
     # Where 98 % of the height are reached, at the earliest.
     (found,) = find(hip, chair, np.full(600, WEIGHT))
     top = TIME[np.argmax(hip >= 0.98 * 0.9)]
@@ -250,4 +250,4 @@ def test_the_chair_bore_half_the_weight_before(rise):
     for share, had in ((0.49, False), (0.51, True)):
         chair = share * WEIGHT * (1.0 - smooth(1.4, 2.0))
         (found,) = find(hip, chair, F_z)
-        assert found.had_chair is had
+        assert found.chair_bore_weight is had

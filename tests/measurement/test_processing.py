@@ -651,7 +651,7 @@ def test_real_rises_are_found(data_root, request):
         halfway, [1.12, 3.79, 6.40, 9.02, 11.72], atol=0.04
     )
     for rise in recording.rises:
-        assert rise.had_chair and rise.is_steady
+        assert rise.chair_bore_weight and rise.standing_is_steady
         assert 0.5 < rise.standing_s - rise.seat_off_s < 1.0
         # The push-off is under way: force is far above body weight.
         i = np.searchsorted(recording.motion.time, rise.seat_off_s - 1e-9)
