@@ -103,49 +103,33 @@ class OsimJoint:
     ranges: tuple[tuple[float, float], ...]
     locked: tuple[bool, ...]
 
-    def across(self, q: Mapping[str, np.ndarray], n: int):
-        """Pose of M in F: R (n, 3, 3) and p (n, 3) [m].
+    def across(self, q: Mapping[str, np.ndarray], n: int, moving: str = ""):
+        """Pose of M in F, and its partial velocities for one coordinate.
 
         Args:
             q: coordinate -> values (n,); missing ones are zero.
             n: number of states.
-        """
-        R, p = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
-        for axis in self.turns:
-            R = R @ _rotation(axis.direction, self._value(axis, q, n))
-        for axis in self.translations:
-            p = p + self._value(axis, q, n)[:, None] * axis.direction
-        return R, p
-
-    def rates(self, coordinate: str, q: Mapping[str, np.ndarray], n: int):
-        """Partial velocities of M in F for one of the joint's coordinates.
-
-        Args:
-            coordinate: its name.
-            q: as for `across`.
-            n: number of states.
+            moving: name of that coordinate; the velocities are zero without.
 
         Returns:
-            Angular (n, 3) [rad] and linear (n, 3) [m], per unit coordinate.
+            R (n, 3, 3), p (n, 3) [m], angular (n, 3) [rad] and linear velocity
+            (n, 3) [m], per unit coordinate.
         """
-        at = q.get(coordinate, np.zeros(n))
-        turn, motion = np.zeros((2, n, 3))
-        R = np.tile(np.eye(3), (n, 1, 1))
-        for axis in self.turns:
-            if axis.coordinate == coordinate:
-                rate = axis.function(at, 1)[:, None]
-                turn = turn + rate * (R @ axis.direction)
-            R = R @ _rotation(axis.direction, self._value(axis, q, n))
-        for axis in self.translations:
-            if axis.coordinate == coordinate:
-                rate = axis.function(at, 1)[:, None]
-                motion = motion + rate * axis.direction
-        return turn, motion
 
-    @staticmethod
-    def _value(axis: OsimAxis, q, n: int) -> np.ndarray:
-        at = q.get(axis.coordinate) if axis.coordinate else None
-        return axis.function(np.zeros(n) if at is None else at, 0)
+        def value(axis: OsimAxis, order: int = 0) -> np.ndarray:
+            return axis.function(q.get(axis.coordinate, np.zeros(n)), order)
+
+        R, p = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
+        turn, motion = np.zeros((2, n, 3))
+        for axis in self.turns:
+            if axis.coordinate == moving:
+                turn = turn + value(axis, 1)[:, None] * (R @ axis.direction)
+            R = R @ _rotation(axis.direction, value(axis))
+        for axis in self.translations:
+            if axis.coordinate == moving:
+                motion = motion + value(axis, 1)[:, None] * axis.direction
+            p = p + value(axis)[:, None] * axis.direction
+        return R, p, turn, motion
 
 
 @dataclass(frozen=True)
@@ -207,7 +191,7 @@ class OsimModel:
         q = q or {}
         found = {"ground": (np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)))}
         for joint in self.joints:
-            R, p = joint.across(q, n)
+            R, p, *_ = joint.across(q, n)
             R_GP, p_GP = found[joint.parent]
             R_GF = R_GP @ joint.X_PF.R
             p_GF = p_GP + R_GP @ joint.X_PF.p
@@ -242,10 +226,9 @@ class OsimModel:
         (joint,) = (j for j in self.joints if coordinate in j.coordinates)
         if body not in self.below(joint):
             return np.zeros((2, n, 3))
-        turn, motion = joint.rates(coordinate, q, n)
+        _, p_FM, turn, motion = joint.across(q, n, coordinate)
         R_GP, p_GP = poses[joint.parent]
         R_GF = R_GP @ joint.X_PF.R
-        p_FM = joint.across(q, n)[1]
         p_GM = p_GP + R_GP @ joint.X_PF.p + np.einsum("nij,nj->ni", R_GF, p_FM)
         turn, motion = (
             np.einsum("nij,nj->ni", R_GF, x) for x in (turn, motion)

@@ -358,7 +358,7 @@ def _strays(osim: OsimModel, joint: OsimJoint, coordinate: str):
     """Yield notes on how far a joint is from a pin at its 0 degrees."""
     lower, upper = joint.ranges[joint.coordinates.index(coordinate)]
     q = np.linspace(max(lower, -_FLEXED), min(upper, _FLEXED), 101)
-    _, p = joint.across({coordinate: q}, len(q))
+    _, p, *_ = joint.across({coordinate: q}, len(q))
     off = np.linalg.norm(p - joint.across({}, 1)[1], axis=1)
     if off.max() > 1e-5:
         yield (
