@@ -190,68 +190,55 @@ def contacts(
     return found
 
 
-@dataclass(frozen=True)
-class FootEvent:
-    """A gait event, as a study names it.
-
-    Attributes:
-        kind: "heel_strike" or "toe_off".
-        side: "left" or "right" foot.
-        number: its number among such events of the recording, from 1.
-    """
-
-    kind: str
-    side: str
-    number: int
-
-    @staticmethod
-    def of(text: str) -> "FootEvent":
-        """Parse words such as "heel_strike right 1".
-
-        Raises:
-            InputError: the text is not of this form.
-
-        >>> FootEvent.of("toe_off left 2").number
-        2
-        """
-        known = f"({'|'.join(_EVENTS)}) ({'|'.join(SIDES)}) (0*[1-9][0-9]*)"
-        match = re.fullmatch(known, " ".join(text.split()))
-        if not match:
-            raise InputError(
-                f"{text!r} is not an event; say {' or '.join(_EVENTS)}, left "
-                "or right, and which from 1, as in 'heel_strike right 1'"
-            )
-        return FootEvent(match[1], match[2], int(match[3]))
-
-    def __str__(self) -> str:
-        return f"{self.kind} {self.side} {self.number}"
-
-    def time_s(self, feet: Mapping[str, Sequence[Contact]]) -> float:
-        """Time of the event in the recording [s].
-
-        Args:
-            feet: side -> contacts of that foot; a foot without plates of
-                its own has no entry.
-
-        Raises:
-            InputError: the foot has no entry, or the event was not recorded.
-        """
-        if self.side not in feet:
-            raise InputError(
-                f"{self}: no plate is the {self.side} foot's alone; name it in "
-                f"plates.{self.side}, or give a time"
-            )
-        whole, at = _EVENTS[self.kind]
-        found = [getattr(c, at) for c in feet[self.side] if getattr(c, whole)]
-        if self.number > len(found):
-            when = ", ".join(f"{t:.2f} s" for t in found)
-            raise InputError(
-                f"{self}: the recording has {len(found)} {self.kind} of the "
-                f"{self.side} foot{' at ' if when else ''}{when}; "
-                f"{'name one of them, or ' if when else ''}give a time"
-            )
-        return found[self.number - 1]
-
-
 # Kind -> attributes of `Contact`: whether it was recorded, and its time.
 _EVENTS = {"heel_strike": ("begins", "start_s"), "toe_off": ("ends", "end_s")}
+
+
+def event_of(text: str) -> tuple[str, str, int]:
+    """Kind, side and number, from 1, of an event of a foot in a recording.
+
+    Raises:
+        InputError: the text is not like "heel_strike right 1".
+
+    >>> event_of("toe_off left 2")
+    ('toe_off', 'left', 2)
+    """
+    known = f"({'|'.join(_EVENTS)}) ({'|'.join(SIDES)}) (0*[1-9][0-9]*)"
+    match = re.fullmatch(known, " ".join(text.split()))
+    if not match:
+        raise InputError(
+            f"{text!r} is not an event; say {' or '.join(_EVENTS)}, left "
+            "or right, and which from 1, as in 'heel_strike right 1'"
+        )
+    return match[1], match[2], int(match[3])
+
+
+def event_s(text: str, feet: Mapping[str, Sequence[Contact]]) -> float:
+    """Time of an event in the recording [s].
+
+    Args:
+        text: the event, as for `event_of`.
+        feet: side -> contacts of that foot; a foot without plates of its own
+            has no entry.
+
+    Raises:
+        InputError: as `event_of`; the foot has no entry, or the event was not
+            recorded.
+    """
+    kind, side, number = event_of(text)
+    event = f"{kind} {side} {number}"
+    if side not in feet:
+        raise InputError(
+            f"{event}: no plate is the {side} foot's alone; name it in "
+            f"plates.{side}, or give a time"
+        )
+    whole, at = _EVENTS[kind]
+    found = [getattr(c, at) for c in feet[side] if getattr(c, whole)]
+    if number > len(found):
+        when = ", ".join(f"{t:.2f} s" for t in found)
+        raise InputError(
+            f"{event}: the recording has {len(found)} {kind} of the "
+            f"{side} foot{' at ' if when else ''}{when}; "
+            f"{'name one of them, or ' if when else ''}give a time"
+        )
+    return found[number - 1]

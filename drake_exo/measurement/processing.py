@@ -12,9 +12,9 @@ from drake_exo.files.output import Progress
 from drake_exo.files.tables import MarkerData, between
 from drake_exo.measurement.events import (
     Contact,
-    FootEvent,
     Rise,
     contacts,
+    event_s,
     find_rises,
     until_seat_off,
 )
@@ -832,7 +832,7 @@ def _bounds(files: TrialFiles, recording: Recording):
 def _event(files: TrialFiles, recording: Recording, key: str, name: str):
     """Time of an event [s], and its entry in the provenance."""
     try:
-        time = FootEvent.of(name).time_s(recording.contacts)
+        time = event_s(name, recording.contacts)
     except InputError as error:
         raise InputError(
             f"trial {files.name}, {files.forces}: {key}: {error}"

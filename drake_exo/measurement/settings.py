@@ -15,7 +15,7 @@ import numpy as np
 from drake_exo.errors import InputError, check_file_name, nearest
 from drake_exo.files.schema import quantity
 from drake_exo.files.tables import PlateRecording
-from drake_exo.measurement.events import FootEvent
+from drake_exo.measurement.events import event_of
 from drake_exo.measurement.filters import low_pass
 from drake_exo.measurement.sagittal import Axes, spatial_wrench
 from drake_exo.model.assembly import ASSEMBLIES, SIDES, Assembly
@@ -611,7 +611,7 @@ class TrialFiles:
         ):
             if event is None:
                 continue
-            FootEvent.of(event)
+            event_of(event)
             if seconds is not None:
                 raise InputError(
                     f"{key} and {time} both say where the used part "

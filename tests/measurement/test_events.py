@@ -6,8 +6,9 @@ import pytest
 from drake_exo.errors import InputError
 from drake_exo.measurement.events import (
     Contact,
-    FootEvent,
     contacts,
+    event_of,
+    event_s,
     find_rises,
     until_seat_off,
 )
@@ -201,14 +202,14 @@ def test_events_of_a_walk_are_counted_among_whole_contacts():
         ("toe_off left 1", 0.4),
         ("toe_off left 2", 1.6),
     ):
-        event = FootEvent.of(text)
-        assert str(event) == text and event.time_s(feet) == time
+        assert " ".join(map(str, event_of(text))) == text
+        assert event_s(text, feet) == time
     with pytest.raises(InputError, match=r"2 toe_off .* at 0\.40 s, 1\.60 s"):
-        FootEvent.of("toe_off left 3").time_s(feet)
+        event_s("toe_off left 3", feet)
     for text in ("toe_off left", "toe_off left 0", "toe_off both 1", "a b c d",
                  "toe_off left 1 2"):  # fmt: skip
         with pytest.raises(InputError, match="is not an event"):
-            FootEvent.of(text)
+            event_of(text)
 
 
 def test_standing_is_steady_within_a_tenth_for_a_tenth_of_a_second(rise):

@@ -14,7 +14,7 @@ from drake_exo.files.opensim import (
     write_table,
     write_trc,
 )
-from drake_exo.measurement.events import FootEvent
+from drake_exo.measurement.events import event_s
 from drake_exo.measurement.recording import FootForces
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import Ground
@@ -123,11 +123,11 @@ def test_words_that_say_no_event_are_refused(tmp_path, text, sentence):
 
 
 def test_a_foot_without_a_plate_of_its_own_has_no_events():
-    event = FootEvent.of("toe_off left 1")
+    event = "toe_off left 1"
     with pytest.raises(InputError, match="no plate is the left foot's alone"):
-        event.time_s({"right": []})
+        event_s(event, {"right": []})
     with pytest.raises(InputError, match="of the left foot; give a time"):
-        event.time_s({"left": []})
+        event_s(event, {"left": []})
 
 
 @pytest.mark.slow
