@@ -1,7 +1,6 @@
 """List what a file holds, for every format that can be read."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,20 +33,11 @@ _LOADED_N = 20.0
 _MESHES = (".stl", ".obj", ".ply", ".vtk", ".msh")
 
 
-@dataclass(frozen=True)
-class Section:
-    """One kind of signal in a file.
-
-    Attributes:
-        title: kind of signal, with rate and duration.
-        lines: one per signal.
-    """
-
-    title: str
-    lines: tuple[str, ...]
+# A kind of signal, with rate and duration -> a line for each signal.
+Contents = dict[str, list[str]]
 
 
-def inspect(path: str | Path) -> tuple[Section, ...]:
+def inspect(path: str | Path) -> Contents:
     """List a file's contents: markers and gaps, plates and loads, channels.
 
     Args:
@@ -63,68 +53,67 @@ def inspect(path: str | Path) -> tuple[Section, ...]:
 read; give one of .c3d, .trc, .mot, .sto, .csv, .asc, .osim, .stl, .obj, \
 .ply, .vtk, .msh
     """
-    readers: dict[str, Callable[[Path], list[Section]]] = {
+    readers: dict[str, Callable[[Path], Contents]] = {
         ".c3d": _of_c3d,
-        ".trc": lambda p: [_markers(read_trc(p))],
+        ".trc": lambda p: _markers(read_trc(p)),
         ".mot": _of_table,
         ".sto": _of_table,
         ".csv": _of_csv,
-        ".asc": lambda p: [_pressure(read_novel_asc(p))],
+        ".asc": lambda p: _pressure(read_novel_asc(p)),
         ".osim": _of_model,
         **dict.fromkeys(_MESHES, _of_mesh),
     }
-    kind = kind_of(path, readers, "in a format")
-    return tuple(readers[kind](Path(path)))
+    return readers[kind_of(path, readers, "in a format")](Path(path))
 
 
-def text_of(path: str | Path, sections: tuple[Section, ...]) -> str:
+def text_of(path: str | Path, contents: Contents) -> str:
     """The contents of a file as text."""
     lines = [str(path)]
-    for section in sections:
-        lines += [section.title, *(f"  {line}" for line in section.lines)]
+    for title, signals in contents.items():
+        lines += [title, *(f"  {line}" for line in signals)]
     return "\n".join(lines)
 
 
-def _of_c3d(path: Path) -> list[Section]:
+def _of_c3d(path: Path) -> Contents:
     file = read_c3d(path)
-    found = [] if file.markers is None else [_markers(file.markers)]
+    found = {} if file.markers is None else _markers(file.markers)
     if file.plates:
-        found.append(_plates(file.plate_time, file.plates))
+        found |= _plates(file.plate_time, file.plates)
     if file.analog is not None:
-        found.append(_channels(file.analog, "as the file has them"))
+        found |= _channels(file.analog, "as the file has them")
     return found
 
 
-def _of_table(path: Path) -> list[Section]:
+def _of_table(path: Path) -> Contents:
     table = read_table(path)
     angles = {
         True: "angles in degrees, else in SI units",
         False: "angles in radians, else in SI units",
     }
     said = angles.get(table.in_degrees, "the header says no unit of angles")
-    found = []
+    found = {}
     if has_plates(table):
-        found.append(_plates(table.time, plates_of(table)))
-    return [*found, _channels(table, said)]
+        found = _plates(table.time, plates_of(table))
+    return found | _channels(table, said)
 
 
-def _of_csv(path: Path) -> list[Section]:
+def _of_csv(path: Path) -> Contents:
     lines = read_text(path).splitlines()
     first = next((s for s in lines if s.strip()), "")
     if any(s.startswith("MocapFrame") for s in lines):
-        return [_plates(*read_plate_csv(path))]
+        return _plates(*read_plate_csv(path))
     if "Format Version" in first:
-        return [_markers(read_markers_csv(path))]
+        return _markers(read_markers_csv(path))
     cells = comma_separated(path, first)
     if [cell.strip().lower() for cell in cells[:2]] == ["row", "column"]:
-        return [_places(path)]
+        return _places(path)
     if ";" in cells[0] and len(cells) > 1:
         whole = {"cells": (1, len(cells) - 1)}
-        return [_pressure(read_pressure_csv(path, whole))]
-    return [_channels(read_csv_table(path), "in SI units, angles in radians")]
+        return _pressure(read_pressure_csv(path, whole))
+    return _channels(read_csv_table(path), "in SI units, angles in radians")
 
 
-def _places(path: Path) -> Section:
+def _places(path: Path) -> Contents:
     """Range of the positions of a mat's cells."""
     table = read_places(path)
     low, high = table[:, 2:].min(axis=0), table[:, 2:].max(axis=0)
@@ -134,10 +123,10 @@ def _places(path: Path) -> Section:
         for axis, a, b in zip("xyz", low, high, strict=True)
     ]
     title = f"{count} by {across} cells of a mat, in the scan's unit"
-    return Section(title, tuple(spans))
+    return {title: spans}
 
 
-def _of_mesh(path: Path) -> list[Section]:
+def _of_mesh(path: Path) -> Contents:
     lines = []
     for kind, *names in (
         ("triangle", "triangle"),
@@ -152,10 +141,10 @@ def _of_mesh(path: Path) -> list[Section]:
         raise InputError(
             f"{path}: holds neither triangles nor tetrahedra; export them"
         )
-    return [Section("mesh, lengths in the file's unit", tuple(lines))]
+    return {"mesh, lengths in the file's unit": lines}
 
 
-def _of_model(path: Path) -> list[Section]:
+def _of_model(path: Path) -> Contents:
     model = read_osim(path)
     bodies = [f"{n}: {b.mass_kg:.4g} kg" for n, b in model.bodies.items()]
     joints = [
@@ -165,11 +154,11 @@ def _of_model(path: Path) -> list[Section]:
     ]
     markers = [f"{n}: on {body}" for n, (body, _) in model.markers.items()]
     count = _counted(len(bodies), "body", "bodies")
-    return [
-        Section(f"{count}, {model.mass_kg:.4g} kg", tuple(bodies)),
-        Section(_counted(len(joints), "joint"), tuple(joints)),
-        Section(_counted(len(markers), "marker"), tuple(markers)),
-    ]
+    return {
+        f"{count}, {model.mass_kg:.4g} kg": bodies,
+        _counted(len(joints), "joint"): joints,
+        _counted(len(markers), "marker"): markers,
+    }
 
 
 def _counted(count: int, one: str, several: str = "") -> str:
@@ -184,7 +173,7 @@ def _span(time: np.ndarray) -> str:
     return f"{rate:.4g} Hz, {time[0]:g} to {time[-1]:g} s, {len(time)} samples"
 
 
-def _markers(data: MarkerData) -> Section:
+def _markers(data: MarkerData) -> Contents:
     lines = []
     for i, name in enumerate(data.names):
         p = data.positions[:, i]
@@ -196,11 +185,8 @@ def _markers(data: MarkerData) -> Section:
         lines.append(f"{name}: around ({middle}) m{_gaps(data.time, unseen)}")
         if (p == 0.0).all(axis=1).any():
             lines[-1] += "; at exactly (0, 0, 0) at times: hidden, as zeros"
-    return Section(
-        f"{_counted(len(data.names), 'marker')}, positions in m, "
-        f"{_span(data.time)}",
-        tuple(lines),
-    )
+    count = _counted(len(data.names), "marker")
+    return {f"{count}, positions in m, {_span(data.time)}": lines}
 
 
 def _gaps(time: np.ndarray, unseen: np.ndarray) -> str:
@@ -216,7 +202,7 @@ def _gaps(time: np.ndarray, unseen: np.ndarray) -> str:
     return f"; not seen in {frames}: {', '.join(told)}{more} s"
 
 
-def _plates(time: np.ndarray, plates: Mapping[int, PlateRecording]) -> Section:
+def _plates(time: np.ndarray, plates: Mapping[int, PlateRecording]) -> Contents:
     lines = []
     for number in plates:
         line = f"plate {number}: "
@@ -241,11 +227,10 @@ def _plates(time: np.ndarray, plates: Mapping[int, PlateRecording]) -> Section:
             f"{first:g} to {last:g} s; up to {size.max():.0f} N, mostly along "
             f"{'-' if mean < 0 else ''}{'xyz'[axis]} ({abs(mean):.0f} N)"
         )
-    title = f"{_counted(len(plates), 'force plate')}, {_span(time)}"
-    return Section(title, tuple(lines))
+    return {f"{_counted(len(plates), 'force plate')}, {_span(time)}": lines}
 
 
-def _channels(table: Table, said: str) -> Section:
+def _channels(table: Table, said: str) -> Contents:
     lines = []
     for name, x in zip(table.names, table.values.T, strict=True):
         seen = x[np.isfinite(x)]
@@ -256,13 +241,11 @@ def _channels(table: Table, said: str) -> Section:
         if seen.min() == seen.max():
             line = f"{name}: {seen[0]:.4g} throughout"
         lines.append(line + _gaps(table.time, ~np.isfinite(x)))
-    return Section(
-        f"{_counted(len(table.names), 'channel')}, {said}, {_span(table.time)}",
-        tuple(lines),
-    )
+    count = _counted(len(table.names), "channel")
+    return {f"{count}, {said}, {_span(table.time)}": lines}
 
 
-def _pressure(data: PressureRecording) -> Section:
+def _pressure(data: PressureRecording) -> Contents:
     lines = []
     for name, cells in data.groups.items():
         p = data.pressure[:, cells]
@@ -271,4 +254,4 @@ def _pressure(data: PressureRecording) -> Section:
             f"{1e-3 * p.max():.3g} kPa, "
             f"{int((p > 0.0).any(axis=0).sum())} of them pressed"
         )
-    return Section(f"pressure in kPa, {_span(data.time)}", tuple(lines))
+    return {f"pressure in kPa, {_span(data.time)}": lines}

@@ -292,9 +292,10 @@ def test_a_plate_that_cannot_be_read_blocks_nothing_else(
     np.testing.assert_allclose(read.plates[2].force, plate.force, atol=1e-3)
     with pytest.raises(InputError, match="force plate 1 has no corners"):
         read.plates[1]
-    (said,) = (s for s in inspect(path) if "plates" in s.title)
-    assert "plate 1: cannot be read (" in said.lines[0]
-    assert "plate 2: loaded 100 %" in said.lines[1]
+    contents = inspect(path).items()
+    (said,) = (lines for title, lines in contents if "plates" in title)
+    assert "plate 1: cannot be read (" in said[0]
+    assert "plate 2: loaded 100 %" in said[1]
 
 
 @pytest.mark.parametrize(
