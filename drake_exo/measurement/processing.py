@@ -79,19 +79,7 @@ LEAST_LEAP_M_S = 4.0
 _AROUND_S = 0.1
 # Most passes of the search for the plates' lag, and the change that ends it.
 _CLOCK_PASSES, _SETTLED_S = 5, 1.5e-3
-
-
-@dataclass(frozen=True)
-class Clock:
-    """Lag of an instrument's clock behind the markers'.
-
-    Attributes:
-        lag_s: lag that was removed [s].
-        said: words on its estimate, for the report; None if not estimated.
-    """
-
-    lag_s: float
-    said: str | None = None
+_TO_FIND = "left to the calibration, unsure"  # lag of encoders or mats
 
 
 @dataclass(frozen=True)
@@ -164,7 +152,9 @@ class Recording:
         angles: of the encoders, None without a file.
         moments: recorded exoskeleton moments, None without a file.
         mats: force of each mat.
-        clocks: of "forces", "encoders" and "pressure", where recorded.
+        delays_s: of "forces", "encoders" and "pressure", where recorded: lag
+            of its clock behind the markers' that was removed.
+        clocks: of those whose lag is estimated: words on that.
         belt_speed_m_s: speed of the treadmill's belt, by the study.
     """
 
@@ -177,7 +167,8 @@ class Recording:
     angles: Signal | None
     moments: Signal | None
     mats: tuple[MatForce, ...]
-    clocks: dict[str, Clock]
+    delays_s: dict[str, float]
+    clocks: dict[str, str]
     belt_speed_m_s: float = 0.0
 
 
@@ -279,12 +270,13 @@ class Recordings:
             leaps=leaps(recorded, followed.names, LEAST_LEAP_M_S),
             standstills=standstills(seen, followed.by_segment()),
         )  # fmt: skip
-        loads, force_clock = files.loads, Clock(laboratory.force_delay_s)
-        applied = self._applied(loads, motion, recorded, force_clock)
+        delays, clocks = {"forces": laboratory.force_delay_s}, {}
+        loads = files.loads
+        applied = self._applied(loads, motion, recorded, delays["forces"])
         motion = replace(motion, applied=applied)
         if laboratory.estimate_force_delay:
             pulls = [load for load in loads if load.forces is not None]
-            found = self._applied(pulls, motion, recorded, force_clock)
+            found = self._applied(pulls, motion, recorded, delays["forces"])
             late = _force_delay(
                 motion,
                 on_time.filtered(low_pass_filter),
@@ -292,16 +284,15 @@ class Recordings:
                 laboratory,
                 sum(wrench.force_z for wrench in found.values()),
             )
-            force_clock = Clock(
-                force_clock.lag_s + late, _said(late, laboratory)
-            )
+            delays["forces"] += late
+            clocks["forces"] = _said(late, laboratory)
             # With the new lag, forces and markers overlap elsewhere.
-            on_time = forces.delayed(force_clock.lag_s)
+            on_time = forces.delayed(delays["forces"])
             frames = replace(markers, time=time)
             time = common_time(frames, on_time, low_pass_filter)
             first = np.searchsorted(motion.time, time[0] - 1e-9)
             motion = motion.cut(slice(first, first + len(time)))
-            applied = self._applied(loads, motion, recorded, force_clock)
+            applied = self._applied(loads, motion, recorded, delays["forces"])
             motion = replace(motion, applied=applied)
         forces = on_time
         stood = {
@@ -318,19 +309,19 @@ class Recordings:
         chair = feet.pop("chair", None)
         if chair is not None:
             chair = until_seat_off(time, chair, model.tree.weight)
-        clocks = {"forces": force_clock}
-        angles = moments = None
-        if model.coordinates.device:
-            angles, moments, encoder_clock = self._device(files)
-            if encoder_clock is not None:
-                clocks["encoders"] = encoder_clock
+        lag = _lag(files.encoder_delay_s, laboratory.encoder_delay_s)
+        angles, moments = self._device(files, lag)
+        if angles is not None or moments is not None:
+            delays["encoders"] = lag
+            if laboratory.estimate_encoder_delay:
+                clocks["encoders"] = _TO_FIND
         worn = files.pressure if model.cuffs else ()
         mats = read_mat_forces(worn, settings.mats, root, low_pass_filter)
         if mats:
             lag = _lag(files.pressure_delay_s, laboratory.pressure_delay_s)
-            clocks["pressure"] = _to_find(
-                lag, laboratory.estimate_pressure_delay
-            )
+            delays["pressure"] = lag
+            if laboratory.estimate_pressure_delay:
+                clocks["pressure"] = _TO_FIND
             mats = tuple(mat.delayed(lag) for mat in mats)
         return Recording(
             motion,
@@ -342,6 +333,7 @@ class Recordings:
             angles,
             moments,
             mats,
+            delays,
             clocks,
             settings.ground.belt_speed_m_s,
         )
@@ -389,11 +381,12 @@ class Recordings:
         loads: Iterable[Load],
         motion: Motion,
         recorded: MarkerData,
-        clock: Clock,
+        lag_s: float,
     ) -> dict[str, PlanarWrench]:
         """Segment -> sum of the wrenches (N,) of loads on it.
 
-        Markers are those of the recording, unfilled; the clock is the plates'.
+        Markers are those of the recording, unfilled; `lag_s` is of the plates'
+        clock.
         """
         time = motion.time
         found: dict[str, PlanarWrench] = {}
@@ -406,7 +399,7 @@ class Recordings:
                     "never carried; correct from_s and to_s of loads"
                 )
             if load.forces is not None:
-                wrench = self._of_file(load, time, clock)
+                wrench = self._of_file(load, time, lag_s)
             else:
                 place = self._place(load, motion, recorded)
                 wrench = carried(load, time, place, self._settings.gravity_m_s2)
@@ -430,12 +423,12 @@ class Recordings:
         first = np.searchsorted(recorded.time, motion.time[0] - 1e-9)
         return smooth[first : first + len(motion.time)]
 
-    def _of_file(self, load: Load, time, clock: Clock) -> PlanarWrench:
+    def _of_file(self, load: Load, time, lag_s: float) -> PlanarWrench:
         """Wrench (N,) of a load's file of forces."""
         path, plates = self._root / load.forces, Plates(both=load.plate)
         forces = read_foot_forces(
             path, plates, self._laboratory, self._filter, loaded=False
-        ).delayed(clock.lag_s)
+        ).delayed(lag_s)
         step = 1.0 / forces.rate_hz
         if forces.time[0] > time[0] + step or forces.time[-1] < time[-1] - step:
             raise InputError(
@@ -446,26 +439,22 @@ class Recordings:
         forces = forces.on_belt(self._settings.ground.belt_speed_m_s)
         return forces.filtered(self._filter).at(time)["both"]
 
-    def _device(self, files: TrialFiles):
-        """Encoder angles, recorded moments on the markers' clock; the clock."""
-        root, laboratory = self._root, self._laboratory
-        device = self._settings.device or Device()
+    def _device(self, files: TrialFiles, lag_s: float):
+        """Encoder angles and recorded moments, on the markers' clock.
+
+        Each None without a file, or without a device.
+        """
         joints = self._subject.model.coordinates.device
-        moments = angles = clock = None
-        lag = _lag(files.encoder_delay_s, laboratory.encoder_delay_s)
-        if files.encoders is not None or files.exo_moments is not None:
-            clock = _to_find(lag, laboratory.estimate_encoder_delay)
-        if files.exo_moments is not None:
-            path = root / files.exo_moments
-            legs = device.moment_legs
-            moments = read_moments(path, joints, legs, self._filter)
-            moments = moments.delayed(lag)
-        if files.encoders is not None:
-            path = root / files.encoders
-            legs = device.encoder_legs
-            angles = read_angles(path, joints, legs, self._filter)
-            angles = angles.delayed(lag)
-        return angles, moments, clock
+        device = self._settings.device or Device()
+
+        def read(reader, file: Path | None, legs: str) -> Signal | None:
+            if file is None or not joints:
+                return None
+            found = reader(self._root / file, joints, legs, self._filter)
+            return found.delayed(lag_s)
+
+        moments = read(read_moments, files.exo_moments, device.moment_legs)
+        return read(read_angles, files.encoders, device.encoder_legs), moments
 
     def _trial(self, files: TrialFiles) -> Trial:
         """Cut one trial out of its recording.
@@ -605,14 +594,13 @@ class Recordings:
 
     def _provenance(self, files: TrialFiles, recording: Recording) -> dict:
         """Provenance of a recording: files, filter, and processing."""
-        clocks = recording.clocks
         return {
             "markers": files.markers.as_posix(),
             "forces": files.forces.as_posix(),
             "filter": {"kind": "Butterworth, zero lag", **vars(self._filter)},
-            "force_delay_s": clocks["forces"].lag_s,
-            "delays_s": {name: c.lag_s for name, c in clocks.items()},
-            "clocks": {name: c.said for name, c in clocks.items() if c.said},
+            "force_delay_s": recording.delays_s["forces"],
+            "delays_s": dict(recording.delays_s),
+            "clocks": dict(recording.clocks),
             "plate_levels": recording.forces.levels,
             "one_leg_doubled": recording.forces.is_one_leg,
             "legs_followed": list(self._subject.markers.sides),
@@ -736,11 +724,6 @@ def _said(late: float, laboratory) -> str:
 def _lag(of_trial: float | None, of_laboratory: float) -> float:
     """Lag [s] that the study gives; systems may be started trial by trial."""
     return of_laboratory if of_trial is None else of_trial
-
-
-def _to_find(lag: float, is_unknown: bool) -> Clock:
-    """Clock of encoders or mats, whose remaining lag a calibration finds."""
-    return Clock(lag, "left to the calibration, unsure" if is_unknown else None)
 
 
 def _around(recording: Recording, inside: np.ndarray) -> np.ndarray:

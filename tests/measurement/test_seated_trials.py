@@ -257,7 +257,7 @@ def test_a_lag_that_is_found_is_that_of_all_forces(files):
     )
     subject = fit_subject(study, folder)
     found = Recordings(study, folder, subject).of(study.trials[0])
-    lag = found.clocks["forces"].lag_s
+    lag = found.delays_s["forces"]
     assert lag == pytest.approx(0.1)
     time = found.motion.time
     assert end - lag - 0.011 < time[-1] <= found.forces.time[-1] + 1e-9
