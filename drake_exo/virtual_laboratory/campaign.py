@@ -578,7 +578,7 @@ class Campaign(Session):
         happened = simulate(
             movement.name,
             self.truth,
-            self.planner.rise(plan, seat),
+            self.planner.movement(plan, seat),
             seat,
             _HELP if assisted else (),
             (plan.quiet_s + plan.lean_s + _AFTER_CHAIR_S, _rise_end(plan)),

@@ -141,52 +141,23 @@ class Planner:
         z = self._buttocks(q)[0, 1]
         return float(z) - BUTTOCKS.radius + seat_depth(share * self.weight)
 
-    def rise(self, plan: RisePlan, seat: float) -> Trial:
-        """A sit-to-stand from the chair that `seat` gives for the plan."""
-        times = plan.times
-        begin, end = plan.quiet_s + plan.lean_s * np.array(_UNLOADING)
-        share = self._seated(plan)[1] * (
-            1.0 - minimum_jerk((times - begin) / (end - begin))[0]
-        )
-        foot = self._foot(self.weight * (1.0 - share), plan.cop_m)
-        return self._solve(plan, seat, foot, share)
+    def movement(self, plan: RisePlan, seat: float | None = None) -> Trial:
+        """A sit-to-stand, or without a chair a squat from standing and back.
 
-    def squat(self, plan: RisePlan) -> Trial:
-        """From standing to the leant posture and back, without a chair.
+        Solves least squares for the joints' spline coefficients.
 
         Args:
-            plan: its lean_s and rise_s are the durations of going down and up;
-                its seated posture must be a standing one.
+            plan: of a squat, lean_s and rise_s are the durations of going down
+                and up, and the seated posture must be a standing one.
+            seat: what `seat` gives for the plan; None for a squat.
         """
-        none = np.zeros(len(plan.times))
-        foot = self._foot(self.weight + none, plan.cop_m)
-        return self._solve(plan, None, foot, none)
-
-    def _seated(self, plan: RisePlan) -> tuple[np.ndarray, float]:
-        """Seated coordinates (1, 6), and the chair's share of the weight."""
-        share = 0.6
-        for _ in range(3):
-            load = np.array([self.weight * (1.0 - share)])
-            foot = self._foot(load, plan.cop_m)
-            q = np.hstack([foot, plan.seated.joints(foot[:, 2])])
-            p = self._buttocks(q)
-            com = self.tree.center_of_mass(q)
-            share = (com[0, 0] - plan.cop_m) / (p[0, 0] - plan.cop_m)
-        return q, float(share)
-
-    def _buttocks(self, q: np.ndarray) -> np.ndarray:
-        place = BUTTOCKS.x, BUTTOCKS.z
-        return self.tree.point_positions(q, "pelvis", place)
-
-    def _foot(self, load: np.ndarray, cop_m: float) -> np.ndarray:
-        return resting_foot(self.tree, self.contact, load, cop_m)
-
-    def _solve(self, plan, seat, foot, wanted) -> Trial:
-        """Solve least squares for the joints' spline coefficients.
-
-        The foot (n, 3) and the chair's wanted share (n,) of weight are given.
-        """
-        basis, times = _basis(plan.duration), plan.times
+        times, wanted = plan.times, np.zeros(len(plan.times))
+        if seat is not None:  # the chair's share of the weight
+            begin, end = plan.quiet_s + plan.lean_s * np.array(_UNLOADING)
+            gone = minimum_jerk((times - begin) / (end - begin))[0]
+            wanted = self._seated(plan)[1] * (1.0 - gone)
+        foot = self._foot(self.weight * (1.0 - wanted), plan.cop_m)
+        basis = _basis(plan.duration)
         B, B_v, B_a, B_j = (basis.derivative(k)(times) for k in range(4))
         spline = make_interp_spline(times, foot, k=_DEGREE)
         foot_v, foot_a = (spline.derivative(k)(times) for k in (1, 2))
@@ -227,6 +198,25 @@ class Planner:
         )
         c = found.x.reshape(start.shape)
         return self._reference(seat, times, *motion(c))
+
+    def _seated(self, plan: RisePlan) -> tuple[np.ndarray, float]:
+        """Seated coordinates (1, 6), and the chair's share of the weight."""
+        share = 0.6
+        for _ in range(3):
+            load = np.array([self.weight * (1.0 - share)])
+            foot = self._foot(load, plan.cop_m)
+            q = np.hstack([foot, plan.seated.joints(foot[:, 2])])
+            p = self._buttocks(q)
+            com = self.tree.center_of_mass(q)
+            share = (com[0, 0] - plan.cop_m) / (p[0, 0] - plan.cop_m)
+        return q, float(share)
+
+    def _buttocks(self, q: np.ndarray) -> np.ndarray:
+        place = BUTTOCKS.x, BUTTOCKS.z
+        return self.tree.point_positions(q, "pelvis", place)
+
+    def _foot(self, load: np.ndarray, cop_m: float) -> np.ndarray:
+        return resting_foot(self.tree, self.contact, load, cop_m)
 
     def _loads(self, seat, q, v, a):
         """Wrenches (n samples) of ground on feet and of seat on pelvis."""

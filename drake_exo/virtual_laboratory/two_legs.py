@@ -319,15 +319,13 @@ class TwoLegs(Session):
 
     def _stands(self, name, number, progress, done) -> tuple[Trial, tuple]:
         """Simulate a rise or squat; with start and end of its used part [s]."""
-        planner, seat = self.planner, None
-        rises = self.movement == "rise"
+        rises, seat = self.movement == "rise", None
         plan = self.varied(vary, _RISE if rises else _SQUAT, number)
         if rises:
-            seat = planner.seat(plan)
-            motion = planner.rise(plan, seat)
+            seat = self.planner.seat(plan)
         else:
             plan = replace(plan, seated=plan.standing)
-            motion = planner.squat(plan)
+        motion = self.planner.movement(plan, seat)
         motion = self.both_legs(motion, self.left_share)
         happened = simulate(
             name, self.truth, motion, seat, progress=progress, done=done

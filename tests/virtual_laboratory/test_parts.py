@@ -168,7 +168,7 @@ def test_seated_posture_is_in_balance():
     tree = truth.model.tree
     planner, plan = Planner(RIGID, truth.contact), RisePlan()
     seat = planner.seat(plan)
-    reference = planner.rise(plan, seat)
+    reference = planner.movement(plan, seat)
     cop = reference.ground.cop_x
     risen = reference.times > plan.quiet_s + plan.lean_s
     assert np.abs(cop[risen] - plan.cop_m).max() < 0.01

@@ -41,13 +41,13 @@ def seat(planner):
 
 @pytest.fixture(scope="module")
 def rise(planner, seat):
-    return planner.rise(SHORT, seat)
+    return planner.movement(SHORT, seat)
 
 
 @pytest.fixture(scope="module")
 def squat(planner):
     upright = replace(SHORT, seated=Posture(shank=9.0, knee=14.0, trunk=2.0))
-    return planner.squat(upright)
+    return planner.movement(upright)
 
 
 def lean(q):

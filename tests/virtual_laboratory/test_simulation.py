@@ -30,7 +30,7 @@ def truth():
 @pytest.fixture(scope="module")
 def dipped(truth):
     planner = Planner(truth.model.rigid.tree, truth.contact)
-    plan = planner.squat(DIP)
+    plan = planner.movement(DIP)
     trial = simulate("dip", truth, plan, None, (0.0, 0.2, 0.2), (0.0, 0.5))
     return plan, trial
 

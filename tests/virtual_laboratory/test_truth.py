@@ -312,7 +312,7 @@ def test_clocks_are_up_to_40_ms_apart_and_told(tmp_path, monkeypatch):
     job.truth = draw_truth(np.random.default_rng(0), frozenset())
     job.laboratory, pressed = Instruments(), []
     job.mats = [mat for mats in CONFIGURATIONS.values() for mat in mats]
-    job.planner = SimpleNamespace(seat=lambda _: None, rise=lambda *_: None)
+    job.planner = SimpleNamespace(seat=lambda _: None, movement=lambda *_: None)
     monkeypatch.setattr(campaign, "simulate", lambda *_: happened())
     monkeypatch.setattr(campaign, "_window", lambda *_: (0.0, 1.0))
     monkeypatch.setattr(campaign.Campaign, "entry", lambda *_: {})

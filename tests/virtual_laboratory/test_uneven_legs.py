@@ -90,7 +90,7 @@ def test_a_plan_of_two_legs_obeys_newton(worn):
     """Feet where soles sink to, each leg bearing its share."""
     subject, share = draw(worn, 3, frozenset(ACTING)), 0.7
     quick = replace(_SQUAT, quiet_s=0.2, lean_s=0.6, rise_s=0.6, stand_s=0.2)
-    squat = subject.planner.squat(quick)
+    squat = subject.planner.movement(quick)
     found = subject.both_legs(squat, share)
     tree = subject.truth.model.rigid.tree
     names = tree.coordinates
@@ -270,7 +270,7 @@ def test_what_cannot_be_simulated_is_refused(alone, tmp_path, capsys):
 def test_cuffs_on_two_legs_are_designed(worn):
     """A squat in which the device helps: less is felt, at the same work."""
     subject = draw(worn, 3, frozenset())
-    plan = subject.both_legs(subject.planner.squat(_SQUAT), 0.5)
+    plan = subject.both_legs(subject.planner.movement(_SQUAT), 0.5)
     model, rigid = (
         subject.truth.model,
         subject.truth.model.rigid.tree.coordinates,
@@ -338,8 +338,7 @@ def used_part(monkeypatch, movement, happened):
     subject.laboratory = SimpleNamespace(disturbances=frozenset())
     subject.planner = SimpleNamespace(
         seat=lambda plan: "chair",
-        rise=lambda plan, seat: plan,
-        squat=lambda plan: plan,
+        movement=lambda plan, seat: plan,
     )
     subject.both_legs = lambda plan, share: plan
     monkeypatch.setattr(two_legs, "simulate", lambda *_, **__: happened)
