@@ -83,7 +83,7 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     """
     if isinstance(settings.model, Assembly):
         settings = replace(settings, model=with_text(settings.model, root))
-    axes = _standing_axes(settings)
+    axes = settings.standing.marker_axes or settings.laboratory.marker_axes
     person, who = None, settings.assembly.human
     if who.osim is not None:
         height, sex = settings.subject.height_m, settings.subject.sex
@@ -103,7 +103,7 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     device = settings.assembly.device
     welds = device.welds.values() if device else ()
     feet = [weld.to for weld in welds if weld.to.startswith("foot")]
-    ball = _ball(settings, named, standing, person)
+    ball = _ball(settings, named, standing, axes, person)
     places = (standing, named, axes)
     if upright is not None:
         places = (upright, named, Axes())
@@ -217,16 +217,11 @@ def model_markers(
     return Markers(JointCentres(**joints), SegmentMarkers(**sided)), upright
 
 
-def _standing_axes(settings: RecordingSettings) -> Axes:
-    """Forward and up axes of the standing trial's marker file."""
-    usual = settings.laboratory.marker_axes
-    return settings.standing.marker_axes or usual
-
-
 def _ball(
     settings: RecordingSettings,
     markers: Markers,
     standing: MarkerData,
+    axes: Axes,
     person: OsimPerson | None,
 ) -> tuple[float, float] | None:
     """Toe hinge (x, z) from the ankle, foot flat [m]; None for rigid toes."""
@@ -234,7 +229,7 @@ def _ball(
         return None
     if person is not None:
         return person.human.ball_m
-    subject, axes = settings.subject, _standing_axes(settings)
+    subject = settings.subject
     human = scale_human(NOMINAL_MASS_KG, subject.height_m, subject.sex)
     human = with_overrides(human, subject.segments, "subject.segments")
     centres = markers.joint_centres.ankle

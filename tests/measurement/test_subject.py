@@ -153,16 +153,13 @@ def test_the_ball_of_a_measured_foot_is_a_spheres_radius_above_the_floor():
     settings = SimpleNamespace(
         assembly=Assembly(Person("two", "hinged")),
         subject=SimpleNamespace(height_m=1.75, sex="male", segments=None),
-        laboratory=SimpleNamespace(marker_axes=Axes("x", "z")),
-        standing=SimpleNamespace(marker_axes=None),
     )
     p = np.zeros((3, 2, 3))
     p[..., 2] = [0.08, 0.10]
     ankles = SimpleNamespace(left=("L",), right=("R",))
     markers = SimpleNamespace(joint_centres=SimpleNamespace(ankle=ankles))
-    x, z = subject._ball(
-        settings, markers, SimpleNamespace(of=lambda names: p), None
-    )
+    standing = SimpleNamespace(of=lambda names: p)
+    x, z = subject._ball(settings, markers, standing, Axes("x", "z"), None)
     assert z == pytest.approx(CONTACT_RADIUS_M - 0.09)
     assert 0.1 < x < 0.2
 

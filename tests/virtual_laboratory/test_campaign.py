@@ -390,7 +390,9 @@ def test_a_movement_is_helped_from_the_chair_to_the_stand(job, monkeypatch):
     plan = replace(RisePlan(), quiet_s=0.3, lean_s=0.6, rise_s=0.9, stand_s=0.5)
     monkeypatch.setattr(campaign, "RisePlan", lambda: plan)
     monkeypatch.setattr(job.planner, "seat", lambda plan: "seat")
-    monkeypatch.setattr(job.planner, "movement", lambda plan, seat: (plan, seat))
+    monkeypatch.setattr(
+        job.planner, "movement", lambda plan, seat: (plan, seat)
+    )
     for mode, help_share in (
         ("passive", ()),
         ("assisted", (0.0, 0.2, 0.2)),
