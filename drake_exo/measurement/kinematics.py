@@ -176,9 +176,6 @@ def build_marker_model(
         lever = joints[side]["ankle"].copy()
         lever[segments.index(f"foot_{side}")] += complex(*ball_m)
         joints[side]["ball"] = lever
-    rigid = [
-        s for s in segments if s in welded or s.partition("_")[0] in welded
-    ]
     # For each segment: markers, origin in standing, and the origin's C.
     on = markers.segments.pelvis
     own = (*on.left, *on.right, *on.middle)
@@ -188,28 +185,24 @@ def build_marker_model(
             own, joint = getattr(markers.segments, segment), _ORIGIN[segment]
             place, lever = centres[side][joint], joints[side][joint]
             parts.append((own.of(side), place, lever))
-    names, segment_of, levers = [], [], []
+    names, segment_of, levers, weights = [], [], [], []
     for k, (own, origin, base) in enumerate(parts):
+        named = {segments[k], segments[k].partition("_")[0]}
+        usual = _RIGID if named & set(welded) else 1.0
         for name in own:
             lever = base.copy()
             lever[k] += (_mean_point(standing, (name,), axes) - origin) / w[k]
             names.append(name)
             segment_of.append(k)
             levers.append(lever)
+            weights.append(markers.weights.get(name, usual))
     model = MarkerModel(
         segments=segments,
         sides=sides,
         names=tuple(names),
         segment_of=np.array(segment_of),
         levers=np.array(levers),
-        weights=np.array(
-            [
-                markers.weights.get(
-                    name, _RIGID if segments[k] in rigid else 1.0
-                )
-                for name, k in zip(names, segment_of, strict=True)
-            ]
-        ),
+        weights=np.array(weights),
         ankles={side: joints[side]["ankle"] for side in sides},
         standing_angles=np.angle(w),
         lengths_m={
@@ -592,8 +585,8 @@ def from_the_ground_up(
     Returns:
         Generalized forces (N, nq) with other joint moments.
     """
-    residual = PlanarWrench.of(model.ground_reaction(q, Q))
-    return Q - model.wrench_on_body(q, "pelvis", residual.array)
+    residual = model.ground_reaction(q, Q)
+    return Q - model.wrench_on_body(q, "pelvis", residual)
 
 
 def carried(
