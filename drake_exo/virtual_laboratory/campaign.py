@@ -6,6 +6,7 @@ folder of its own.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -387,7 +388,7 @@ class Session:
         """The plan of quiet standing."""
         return self.planner.standing(_STANDING_S, STANDING_COP_M)
 
-    def prepare(self, progress: Progress | None = None) -> dict[str, dict]:
+    def prepare(self, tell: Callable | None = None) -> dict[str, dict]:
         """Write quiet standing, empty plates, body scan and true parameters.
 
         Returns:
@@ -397,7 +398,7 @@ class Session:
         folder, truth = laboratory.folder, laboratory.folder / "truth"
         truth.mkdir(parents=True, exist_ok=True)
         plan = self.standing()
-        standing = simulate("standing", self.truth, plan, progress=progress)
+        standing = simulate("standing", self.truth, plan, tell=tell)
         laboratory.record_motion(standing, rng, hidden=False)
         laboratory.record_empty(rng)
         write_happened(truth, standing)
@@ -461,7 +462,7 @@ class Session:
         progress = Progress(
             "virtual laboratory", len(movements), interval_seconds=2.0
         )
-        mats = self.prepare(progress)
+        mats = self.prepare(progress.update)
         entries: dict[str, dict | None] = {}
 
         def end(row: Ended) -> None:
@@ -470,7 +471,8 @@ class Session:
 
         if processes == 1:
             for name, movement in movements.items():
-                entries[name] = self.record(movement, progress, len(entries))
+                tell = partial(progress.update, done=len(entries))
+                entries[name] = self.record(movement, tell)
         else:
             jobs = [
                 Job(name, f"{__name__}:record", {"job": self, "movement": m})
@@ -562,10 +564,7 @@ class Campaign(Session):
         )
 
     def record(
-        self,
-        movement: Repetition,
-        progress: Progress | None = None,
-        done: int | None = None,
+        self, movement: Repetition, tell: Callable | None = None
     ) -> dict | None:
         """Simulate a movement and write its files; its entry in `trials`.
 
@@ -582,8 +581,7 @@ class Campaign(Session):
             seat,
             _HELP if assisted else (),
             (plan.quiet_s + plan.lean_s + _AFTER_CHAIR_S, _rise_end(plan)),
-            progress,
-            done,
+            tell,
         )
         rng = self.rng(4, *movement.key)
         clocks = drawn_clocks(rng, laboratory.disturbances)

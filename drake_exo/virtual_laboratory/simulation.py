@@ -5,6 +5,7 @@ subject is a controller that follows its plan. Measurements are made of the
 simulated motion, which differs from the plan.
 """
 
+from collections.abc import Callable
 from functools import reduce
 from operator import add
 
@@ -13,7 +14,6 @@ import numpy as np
 from drake_exo.contact.diagram import build_diagram, integrate
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError
-from drake_exo.files.output import Progress
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model
@@ -45,8 +45,7 @@ def simulate(
     seat: float | None = None,
     help_share: tuple[float, ...] = (),
     span: tuple[float, float] = (0.0, 1.0),
-    progress: Progress | None = None,
-    done: int | None = None,
+    tell: Callable[[str], None] | None = None,
     *,
     walker: SubjectController | None = None,
 ) -> Trial:
@@ -60,8 +59,7 @@ def simulate(
         help_share: share of the gravity torque at ankle, knee and hip that the
             exoskeleton gives; empty if it is passive.
         span: begin and end of the movement for the exoskeleton's design [s].
-        progress: updated at every step.
-        done: number of movements simulated before.
+        tell: called at every step with the progress in words.
         walker: controller of a walk, in motion from the start; by default the
             subject stands on both feet and settles first.
 
@@ -97,7 +95,7 @@ def simulate(
         built.plant.SetVelocities(plant_context, v)
     end = float(reference.times[-1])
 
-    def tell(time: float, state: np.ndarray) -> None:
+    def watch(time: float, state: np.ndarray) -> None:
         if walker is not None:
             off, *_ = walker.off(np.float64(time), *np.split(state, 2))
             if np.hypot(*off[:2]) > _ASTRAY_M:
@@ -105,11 +103,11 @@ def simulate(
                     f"{name}: the walker stumbles after {time:.1f} s; give "
                     "another seed, or a lighter device"
                 )
-        if progress:
+        if tell is not None:
             now = max(time, 0.0)  # negative while settling
-            progress.update(f"{name}, {now:.2f} of {end:.2f} s", done)
+            tell(f"{name}, {now:.2f} of {end:.2f} s")
 
-    motion = integrate(built.diagram, context, end, tell)
+    motion = integrate(built.diagram, context, end, watch)
     if motion.t_max < end:
         raise InputError(
             f"{name}: the movement cannot be simulated after "

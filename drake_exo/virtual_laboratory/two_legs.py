@@ -11,7 +11,7 @@ smoothing, in a device on compliant cuffs that the controller knows nothing of.
 """
 
 import shutil
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -36,7 +36,6 @@ from drake_exo.contact.parameters import (
 )
 from drake_exo.errors import InputError, check_count, path_of
 from drake_exo.files import schema
-from drake_exo.files.output import Progress
 from drake_exo.measurement.events import contacts
 from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.sagittal import PlanarWrench
@@ -287,21 +286,17 @@ class TwoLegs(Session):
         return replace(plan, coordinates=names, **own)
 
     def record(
-        self,
-        number: int,
-        progress: Progress | None = None,
-        done: int | None = None,
+        self, number: int, tell: Callable[[str], None] | None = None
     ) -> dict:
         """Simulate a trial and write its files; its entry in `trials`.
 
         Args:
             number: index of the trial, from 0.
-            progress: updated at every step.
-            done: number of movements simulated before.
+            tell: see `simulate`.
         """
         name, laboratory = f"{self.movement}_{number + 1}", self.laboratory
         act = self._walks if self.movement == "walk" else self._stands
-        happened, (start, end) = act(name, number, progress, done)
+        happened, (start, end) = act(name, number, tell)
         self.measure(happened, self.rng(4, number), self.mats)
         used = {"name": name, **laboratory.motion_files(name)}
         if self.truth.model.coordinates.device:
@@ -317,7 +312,7 @@ class TwoLegs(Session):
             "end_s": end,
         }
 
-    def _stands(self, name, number, progress, done) -> tuple[Trial, tuple]:
+    def _stands(self, name, number, tell) -> tuple[Trial, tuple]:
         """Simulate a rise or squat; with start and end of its used part [s]."""
         rises, seat = self.movement == "rise", None
         plan = self.varied(vary, _RISE if rises else _SQUAT, number)
@@ -327,16 +322,14 @@ class TwoLegs(Session):
             plan = replace(plan, seated=plan.standing)
         motion = self.planner.movement(plan, seat)
         motion = self.both_legs(motion, self.left_share)
-        happened = simulate(
-            name, self.truth, motion, seat, progress=progress, done=done
-        )
+        happened = simulate(name, self.truth, motion, seat, tell=tell)
         end = plan.duration - plan.stand_s + _QUIET_S
         begin = plan.quiet_s - _QUIET_S
         if rises:
             begin = after_chair(happened, happened.chair.force_z)
         return happened, to_frames(begin, end)
 
-    def _walks(self, name, number, progress, done) -> tuple[Trial, tuple]:
+    def _walks(self, name, number, tell) -> tuple[Trial, tuple]:
         """Simulate a walk; with start and end of the cycle that is used [s]."""
         truth, names = self.truth, self.truth.model.coordinates
         plan = self.varied(vary_walk, WalkPlan(), number)
@@ -346,8 +339,7 @@ class TwoLegs(Session):
             name,
             truth,
             motion,
-            progress=progress,
-            done=done,
+            tell=tell,
             walker=WalkingController(names, motion, rigid.tree.weight),
         )
         # A cycle from just after toe-off, where the filter smears no force in.

@@ -342,7 +342,7 @@ def used_part(monkeypatch, movement, happened):
     )
     subject.both_legs = lambda plan, share: plan
     monkeypatch.setattr(two_legs, "simulate", lambda *_, **__: happened)
-    return subject._stands(f"{movement}_1", 0, None, None)[1]
+    return subject._stands(f"{movement}_1", 0, None)[1]
 
 
 def test_the_used_part_of_a_squat_begins_and_ends_at_rest(monkeypatch):
@@ -380,7 +380,7 @@ def test_the_used_part_of_a_walk_is_a_cycle(monkeypatch, alone):
     )
     monkeypatch.setattr(two_legs, "plan_walk", lambda *_: walk)
     monkeypatch.setattr(two_legs, "simulate", lambda *_, **__: happened)
-    _, at = subject._walks("walk_1", 0, None, None)
+    _, at = subject._walks("walk_1", 0, None)
     assert at == pytest.approx([0.62 + 0.05, 1.72 + 0.05])
 
 
@@ -478,7 +478,7 @@ def test_who_stands_is_scanned_at_the_end(worn, tmp_path, monkeypatch):
     monkeypatch.setattr(Laboratory, "record_motion", lambda *_, **__: None)
     q, mats = subject.prepare()
     ((name, plan, more),) = asked
-    assert (name, more) == ("standing", {"progress": None})
+    assert (name, more) == ("standing", {"tell": None})
     assert plan.times[-1] == 2.0
     np.testing.assert_array_equal(q, 3.0)
     assert mats == subject.mats
