@@ -61,7 +61,9 @@ class OutputFolder:
     removes the folder that it made.
     """
 
-    def __init__(self, target: Path, path: Path, lock: int, made: bool):
+    def __init__(
+        self, target: Path, path: Path, lock: contextlib.ExitStack, made: bool
+    ):
         self.target, self._made = target, made
         self.path = path
         self._lock = lock
@@ -81,7 +83,7 @@ class OutputFolder:
                 with contextlib.suppress(OSError):
                     _write_manifest(self.target, self._written())
         finally:
-            _release(self.target, self._lock)
+            self._lock.close()
             if kind is not None and self._made and not _files(self.target):
                 self._withdraw()
 
@@ -160,13 +162,10 @@ def prepare_output_folder(
             raise InputError(f"{target}: is a file; give a folder for --out")
         made = not target.exists()
         target.mkdir(parents=True, exist_ok=True)
-        lock = _locked(target)
-        try:
+        with contextlib.ExitStack() as lock:
+            lock.enter_context(locked(target))
             place = _place(target, force, resume)
-            return OutputFolder(target, place, lock, made)
-        except BaseException:
-            _release(target, lock)
-            raise
+            return OutputFolder(target, place, lock.pop_all(), made)
     except OSError as error:
         raise InputError(
             f"{target}: cannot be written ({error.strerror}); choose "
@@ -227,21 +226,20 @@ def _files(folder: Path) -> set[str]:
     }
 
 
-def _release(folder: Path, lock: int) -> None:
-    with contextlib.suppress(OSError):
-        (folder / LOCK).unlink()
-    os.close(lock)
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Lock a folder, so that only one run writes there.
 
-
-def _locked(folder: Path) -> int:
-    """Lock a folder and return the lock's file descriptor."""
+    Raises:
+        InputError: another run is writing there.
+    """
     path = folder / LOCK
     while True:
         lock = os.open(path, os.O_CREAT | os.O_RDWR, 0o644)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if os.path.samestat(os.fstat(lock), os.stat(path)):
-                return lock
+                break
         except FileNotFoundError:
             pass  # a run that just ended has removed the file; try again
         except BlockingIOError:
@@ -251,20 +249,12 @@ def _locked(folder: Path) -> int:
                 "choose another folder for --out"
             ) from None
         os.close(lock)
-
-
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Lock a folder, so that only one run writes there.
-
-    Raises:
-        InputError: another run is writing there.
-    """
-    lock = _locked(folder)
     try:
         yield
     finally:
-        _release(folder, lock)
+        with contextlib.suppress(OSError):
+            path.unlink()
+        os.close(lock)
 
 
 def _read_manifest(folder: Path) -> set[str]:

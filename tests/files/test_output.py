@@ -334,10 +334,10 @@ def test_what_a_killed_run_left_is_its_own(tmp_path, resume):
         (target / "study.yaml").write_text("mine")
     folder = prepare_output_folder(target, resume=resume)
     (folder.path / "one.txt").write_text("so far")
-    os.close(folder._lock)  # as the system does
+    folder._lock.close()  # as the system does
     again = prepare_output_folder(target, resume=True)
     assert again._others == ({"study.yaml"} if resume else set())
-    os.close(again._lock)
+    again._lock.close()
     with prepare_output_folder(target, force=True) as folder:
         (folder / "two.txt").write_text("new")
     assert (target / MANIFEST).read_text() == "two.txt\n"
@@ -355,7 +355,7 @@ def test_a_user_s_file_may_be_called_anything(tmp_path):
     for name in theirs:
         (target / name).write_text("mine")
     folder = prepare_output_folder(target, resume=True)
-    os.close(folder._lock)
+    folder._lock.close()
     with prepare_output_folder(target, force=True) as folder:
         (folder / "two.txt").write_text("new")
     names = {p.name for p in target.iterdir()}
