@@ -120,22 +120,9 @@ def _timed(
     return [*find_clocks(study, half, contact), *those.value()]
 
 
-def predict_stiff(
-    study: Study,
-    contact: ContactModel,
-    out: Path,
-    checks: list[Check],
-    clocks: list[Clock],
-) -> tuple[int, str]:
-    """Write Phase C2 to a folder; its exit code, and what it printed."""
+def predict_stiff(**how) -> tuple[int, str]:
+    """Write Phase C2, see `write_predictions`; exit code, what it printed."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
-        code = write_predictions(
-            study,
-            contact,
-            out,
-            scale_interaction=1.4,
-            checks=checks,
-            clocks=clocks,
-        )
+        code = write_predictions(scale_interaction=1.4, **how)
     return code, said.getvalue()
