@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from copy import copy, deepcopy
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
@@ -41,8 +41,8 @@ from drake_exo.calibration.phases import (
 from drake_exo.calibration.problem import PhaseResult, has_encoders
 from drake_exo.calibration.results import (
     Origin,
-    phase_summary,
     read_calibration,
+    solve_summary,
     write_bands,
     write_contact,
     write_model,
@@ -641,9 +641,14 @@ class Calibration(_Solved):
 
         Readings are shifted by the lags found. See `audit.rmsd` for the keys.
         """
+        return self._rmsd(self.result)
+
+    def _rmsd(self, found: PhaseResult) -> list[dict]:
         return [
-            audit.rmsd(found, measured, self.phase != "foot-ground")
-            for found, measured in zip(self.trials, self._measured, strict=True)
+            audit.rmsd(trial, measured, loads=self.phase != "foot-ground")
+            for trial, measured in zip(
+                found.trials, self._measured, strict=True
+            )
         ]
 
     def audit(self) -> list[Audit]:
@@ -689,24 +694,43 @@ class Calibration(_Solved):
             verdict: verdict to write; `self.verdict()` if None.
         """
         found = self.result.unsealed()
-        summary = phase_summary(
-            self.phase, self.study.name, found, self._measured
-        )
-        summary |= (verdict or self.verdict()).summary()
-        summary["audit"] = [a.summary() for a in self._audits]
-        found = self.clocks if self.success else []
-        summary["clocks"] = [c.summary() for c in found]
+        problem, intervals = found.problem, {}
         known = self.uncertainty() if self.success else None
         if known is not None:
-            rows = {row["name"]: row for row in summary["parameters"]}
-            for k, name in enumerate(known.names):
-                rows[name] |= {
+            intervals = {
+                name: {
                     "sd": _known(known.sd[k]),
                     "pull": known.pull[k],
                     "half_width_95": _known(known.half_width[k]),
                     "identifiable": bool(known.identifiable[k]),
                 }
-        return summary
+                for k, name in enumerate(known.names)
+            }
+        clocks = self.clocks if self.success else []
+        return {
+            "phase": self.phase,
+            "subject": self.study.name,
+            **solve_summary(found.solution),
+            "settings": asdict(problem.settings),
+            "parameters": [
+                {
+                    "name": p.name,
+                    "unit": p.unit,
+                    "value": p.nominal,
+                    "lower": p.lower,
+                    "upper": p.upper,
+                    "free": p.free,
+                    "at_bound": p.free and p.at_bound(p.nominal),
+                    **intervals.get(p.name, {}),
+                }
+                for p in found.parameters
+            ],
+            "rmsd": self._rmsd(found),
+            "measured_sd": audit.spread(problem.trials, problem.tree),
+            **(verdict or self.verdict()).summary(),
+            "audit": [a.summary() for a in self._audits],
+            "clocks": [c.summary() for c in clocks],
+        }
 
     def write(self, folder: str | Path, verdict: Verdict | None = None) -> dict:
         """Write model, contact, trajectories, tables and figures.

@@ -7,6 +7,11 @@ _SOLES = "tests/soles"
 # Folder or file -> tests; those of the longest fitting name run first.
 TESTS = {
     "drake_exo/": ["tests/test_api.py", "tests/test_study.py"],
+    "drake_exo/study.py": [
+        "tests/test_api.py",
+        "tests/test_study.py",
+        "tests/calibration/test_bands.py",
+    ],
     "drake_exo/batch/": ["tests/batch"],
     "drake_exo/jobs/": ["tests/jobs", "tests/batch"],
     "drake_exo/calibration/": _CALIBRATION,
@@ -449,6 +454,10 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "np.diag([u.sd for u in self.unknowns])",
         ),
     ],
+    "drake_exo/study.py": [
+        ('"lower": p.lower,', '"lower": p.upper,'),
+        ('loads=self.phase != "foot-ground"', "loads=True"),
+    ],
     "drake_exo/calibration/results.py": [
         (
             "degrees = np.where(names.is_angle, np.rad2deg(values), values)",
@@ -459,8 +468,6 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "values.extend((middle, middle + width))",
         ),
         ("unit[k] * found.v[:, k]", "unit[k] * found.q[:, k]"),
-        ('"lower": p.lower,', '"lower": p.upper,'),
-        ('loads=phase != "foot-ground"', "loads=True"),
         (
             '"parameters": contact.values(),',
             '"parameters": dict.fromkeys(contact.values(), 1.0),',

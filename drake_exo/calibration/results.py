@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from drake_exo.calibration.audit import rmsd, spread
-from drake_exo.calibration.problem import PhaseResult
 from drake_exo.calibration.settings import FootGroundSettings
 from drake_exo.calibration.uncertainty import Bands
 from drake_exo.contact.bushing import CALIBRATED, COMPONENTS, BushingParameters
@@ -404,41 +402,6 @@ def solve_summary(solution: Solution) -> dict:
         "num_variables": solution.num_variables,
         "num_constraints": solution.num_constraints,
         "jacobian_nonzeros": solution.jacobian_nonzeros,
-    }
-
-
-def phase_summary(
-    phase: str, subject: str, result: PhaseResult, measured: Sequence[Trial]
-) -> dict:
-    """Entries of one phase in summary.json.
-
-    Args:
-        phase, subject: their names.
-        result: the phase's result.
-        measured: its trials, on the clocks that were found.
-    """
-    return {
-        "phase": phase,
-        "subject": subject,
-        **solve_summary(result.solution),
-        "settings": asdict(result.problem.settings),
-        "parameters": [
-            {
-                "name": p.name,
-                "unit": p.unit,
-                "value": p.nominal,
-                "lower": p.lower,
-                "upper": p.upper,
-                "free": p.free,
-                "at_bound": p.free and p.at_bound(p.nominal),
-            }
-            for p in result.parameters
-        ],
-        "rmsd": [
-            rmsd(found, trial, loads=phase != "foot-ground")
-            for found, trial in zip(result.trials, measured, strict=True)
-        ],
-        "measured_sd": spread(result.problem.trials, result.problem.tree),
     }
 
 

@@ -17,7 +17,6 @@ from drake_exo.calibration.phases import (
     PredictionProblem,
 )
 from drake_exo.calibration.results import (
-    phase_summary,
     write_bands,
     write_trial,
 )
@@ -599,7 +598,15 @@ def test_bands_on_disk_are_the_middle_and_the_width(tmp_path):
 
 
 def test_a_summary_holds_parameters_with_their_bounds(coarse):
-    summary = phase_summary("interaction", "me", coarse, coarse.problem.trials)
+    problem = coarse.problem
+    study = dx.Study(problem.model, problem.trials, name="me")
+
+    def summary_of(phase):
+        found = dx.Calibration(phase, study, coarse)
+        vars(found)["_audits"] = ()  # which would be simulated
+        return found.summary()
+
+    summary = summary_of("interaction")
     assert (summary["phase"], summary["subject"]) == ("interaction", "me")
     assert summary["success"] is True
     assert summary["iterations"] == coarse.solution.iterations
@@ -614,7 +621,7 @@ def test_a_summary_holds_parameters_with_their_bounds(coarse):
         value = coarse.solution.raw_values()[index[0]]
         assert own["value"] == pytest.approx(value, rel=1e-6)
     assert summary["rmsd"][0]["moments_nm"]
-    alone = phase_summary("foot-ground", "me", coarse, coarse.problem.trials)
+    alone = summary_of("foot-ground")
     assert not alone["rmsd"][0]["moments_nm"]
 
 
