@@ -34,7 +34,6 @@ from drake_exo.calibration.wearers import (
     check_wearers,
     drawn,
     drives_answer,
-    passive_torques,
     posture_law,
     sized,
     springs_answer,
@@ -301,8 +300,9 @@ def movements(
         contact: of the cuffs of today.
         settings: grid and solver.
         design: nothing changed by default.
-        today: who wears it, and the own movements on the cuffs of today:
-            then its joints answer where the device goes another way than there.
+        today: with a design, who wears it, and the own movements on the cuffs
+            of today: its joints answer where the device goes another way than
+            there.
 
     Raises:
         InputError: a movement cannot be solved; or likewise.
@@ -319,14 +319,15 @@ def movements(
     progress = Progress("own movements", len(trials))
     for k, trial in enumerate(trials):
         if today is None:
-            more = springs_answer(trial, study.device)
+            posed, more = trial, springs_answer(trial, study.device)
         else:
             who, own = today
+            posed = assisted(trial, design, contact, who.passive(trial))
             more = answer(trial, who, own[k].trial, design)
         result = solved(
             OwnMovement(
                 design.model(study.model),
-                [_assisted(study, trial, contact, design)],
+                [posed],
                 built,
                 phase,
                 answers={trial.name: more},
@@ -341,14 +342,6 @@ def movements(
         found.append(Moved(result.trials[0], bands(result), trial, seen))
         progress.update(trial.name, len(found))
     return found
-
-
-def _assisted(
-    study: Study, trial: Trial, contact: ContactModel, design: Design
-) -> Trial:
-    """A study's trial with torques as designed where the device was."""
-    passive = passive_torques(trial, study.model, contact, study.device)
-    return assisted(trial, design, contact, passive)
 
 
 def on_design(
@@ -366,7 +359,8 @@ def on_design(
     """
     design.check(study.model)
     trials = study.trials("prediction")
-    worn = [_assisted(study, trial, contact, design) for trial in trials]
+    who = Wearer(study.name, study.model, contact, trials, device=study.device)
+    worn = [assisted(t, design, contact, who.passive(t)) for t in trials]
     if all(trial.moments is not None for trial in trials):
         before = movements(study, contact, study.design)
         who = wearer(study.name, study, contact, before)

@@ -245,7 +245,7 @@ class _Wearing(PhaseProblem):
         names, posed = movement.coordinates, self._posed
         torques = movement.torque[:, names.is_device_joint]
         today = at.device_moments
-        passive, slope = self.wearer.passive(at), self.wearer.slope(at)
+        passive, slope = self.wearer.passive(at), self.wearer.slope(at.q)
         springs = self.wearer.springs
         angles, rates = (x[:, names.device_columns] for x in (at.q, at.v))
         self._ways.append(movement.grid.quadrature[:, None] * rates)

@@ -172,49 +172,6 @@ def _inclined(model: Model, q: np.ndarray) -> np.ndarray:
     return q[:, model.coordinates.device_columns] @ _turning(model).T
 
 
-def posture_slope(
-    model: Model, law: Mapping[str, np.ndarray], q: np.ndarray
-) -> np.ndarray:
-    """Slope (n, m, m) of the drives' torques by the device's angles [N m/rad].
-
-    Args:
-        model: subject and device.
-        law: see `posture_law`.
-        q: (n, nq).
-    """
-    turning, joints = _turning(model), model.coordinates.device
-    rows = np.array([law.get(j, np.zeros(len(joints))) for j in joints])
-    return np.einsum(
-        "ik,nk,kj->nij", rows, np.cos(_inclined(model, q)), turning
-    )
-
-
-def passive_torques(
-    trial: Trial, model: Model, contact: ContactModel, device: Device | None
-) -> np.ndarray:
-    """Torques of friction and springs at the device's joints (n, m) [N m].
-
-    Friction is as identified on a bench, corrected by the error that the
-    calibration found in it; springs are at true angles. Zero without `device`.
-
-    Args:
-        trial: measured or solved; its angles and rates are used.
-        model: subject and device.
-        contact: with the calibration's posterior, if there is one.
-        device: as the study file describes it.
-    """
-    if device is None:
-        return np.zeros((len(trial.times), len(trial.coordinates.device)))
-    share = 1.0 - _found(contact, "friction", trial.coordinates.device)
-    friction = friction_moments(device, model.tree, trial.v)
-    # Moments by the study's device model are those at the recorded angles.
-    known = None if _is_modelled(trial) else contact
-    q = trial.q.copy()
-    q[:, trial.coordinates.device_columns] = _device_angles(trial, known)
-    springs = spring_moments(device, model.tree, q)
-    return np.maximum(share, 0.0) * friction + springs
-
-
 def _found(contact: ContactModel | None, error: str, joints) -> np.ndarray:
     """Calibrated size (m,) of an error at each joint; 0 if not estimated."""
     known = None if contact is None else contact.posterior
@@ -263,7 +220,7 @@ def assisted(
         trial: measured; moments are totals of drive, friction and springs.
         design: acts on the drives, at the true angles of their joints.
         contact: its posterior gives the encoders' offsets.
-        passive: see `passive_torques`.
+        passive: see `Wearer.passive`.
     """
     trial = _without(trial, design.removed)
     if trial.moments is None or not design.given:
@@ -323,8 +280,23 @@ class Wearer:
         return self.slid.get(cuff, 1.0)
 
     def passive(self, trial: Trial) -> np.ndarray:
-        """Passive torques (n, m) in a trial, see `passive_torques`."""
-        return passive_torques(trial, self.model, self.contact, self.device)
+        """Torques of friction and springs at the device's joints (n, m) [N m].
+
+        Friction is as identified on a bench, corrected by the error that the
+        calibration found in it; springs are at true angles. Zero without
+        `device`. Of a trial, measured or solved, angles and rates are used.
+        """
+        names, tree = trial.coordinates, self.model.tree
+        if self.device is None:
+            return np.zeros((len(trial.times), len(names.device)))
+        share = 1.0 - _found(self.contact, "friction", names.device)
+        friction = friction_moments(self.device, tree, trial.v)
+        # Moments by the study's device model are those at the recorded angles.
+        known = None if _is_modelled(trial) else self.contact
+        q = trial.q.copy()
+        q[:, names.device_columns] = _device_angles(trial, known)
+        springs = spring_moments(self.device, tree, q)
+        return np.maximum(share, 0.0) * friction + springs
 
     @property
     def springs(self) -> np.ndarray:
@@ -343,9 +315,19 @@ class Wearer:
             return np.zeros(given.shape)
         return given - self.passive(trial)
 
-    def slope(self, trial: Trial) -> np.ndarray:
-        """Slope (n, m, m) of the drives' torques, see `posture_slope`."""
-        return posture_slope(self.model, self.law, trial.q)
+    def slope(self, q: np.ndarray) -> np.ndarray:
+        """Slope of the drives' torques by the device's angles, by `law`.
+
+        Args:
+            q: (n, nq).
+
+        Returns:
+            (n, m, m) [N m/rad].
+        """
+        turning, joints = _turning(self.model), self.model.coordinates.device
+        rows = [self.law.get(j, np.zeros(len(joints))) for j in joints]
+        lean = np.cos(_inclined(self.model, q))
+        return np.einsum("ik,nk,kj->nij", np.array(rows), lean, turning)
 
 
 def answer(trial: Trial, wearer: Wearer, own: Trial, design: Design) -> Answer:
@@ -381,7 +363,7 @@ def drives_answer(
         design.torques(names.device, today, angles, rates, share)
         for today in (np.ones(angles.shape), np.zeros(angles.shape))
     )
-    slope = posture_slope(wearer.model, wearer.law, own.q)
+    slope = wearer.slope(own.q)
     slope *= (given - none)[:, :, None]
     there = np.einsum("nij,nj->ni", slope, own.q[:, names.device_columns])
     return Answer(own.times, slope, there, np.zeros(slope.shape[1]))

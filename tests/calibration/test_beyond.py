@@ -15,9 +15,7 @@ from drake_exo.calibration.wearers import (
     OwnMovement,
     answer,
     assisted,
-    passive_torques,
     posture_law,
-    posture_slope,
     springs_answer,
 )
 from drake_exo.contact.parameters import Posterior
@@ -109,6 +107,7 @@ def test_a_springs_torque_is_as_its_moments_were_made(wearer):
     known = Posterior(("encoder.exo_knee",), np.array([0.05]), 1e-6 * np.eye(1))
     contact = replace(wearer.contact, posterior=known)
     device = Device(knee=JointDrive(stiffness_nm_rad=60.0, rest_deg=20.0))
+    sprung = replace(wearer, contact=contact, device=device)
     k = own.coordinates.device.index("exo_knee")
     knee, rest = own.coordinate("exo_knee"), np.deg2rad(20.0)
     taken = {"exoskeleton_angles": "the person's"}
@@ -124,10 +123,10 @@ def test_a_springs_torque_is_as_its_moments_were_made(wearer):
         assert not np.delete(found.there, k, axis=1).any()
         assert found.springs.tolist() == [0.0, 60.0 if off else 0.0, 0.0]
         # A factor on drives leaves a spring as it is.
-        passive = passive_torques(trial, wearer.model, contact, device)
+        passive = sprung.passive(trial)
         np.testing.assert_allclose(passive[:, k], -60.0 * (knee - off - rest))
         solved = replace(trial, source="solved")
-        passive = passive_torques(solved, wearer.model, contact, device)
+        passive = sprung.passive(solved)
         np.testing.assert_allclose(passive[:, k], -60.0 * (knee - rest))
     assert springs_answer(own, None) is None
 
@@ -201,14 +200,14 @@ def test_recordings_tell_how_drives_go_by_posture(wearer):
 
 def test_slope_by_posture_is_that_of_differences(wearer):
     (own,) = wearer.trials
-    slope = posture_slope(wearer.model, LAW, own.q)
+    slope = replace(wearer, law=LAW).slope(own.q)
     device = own.coordinates.device_columns
     for k, column in enumerate(device):
         step = np.zeros(own.q.shape[1])
         step[column] = 1e-6
         change = by_posture(own, own.q + step) - by_posture(own, own.q - step)
         np.testing.assert_allclose(slope[:, :, k], change / 2e-6, atol=1e-6)
-    assert not posture_slope(wearer.model, {}, own.q).any()
+    assert not wearer.slope(own.q).any()
 
 
 def test_a_forecast_s_torques_answer_as_far_as_the_device_strays(wearer):

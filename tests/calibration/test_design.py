@@ -32,7 +32,6 @@ from drake_exo.calibration.wearers import (
     answer,
     assisted,
     check_population,
-    passive_torques,
     sized,
 )
 from drake_exo.contact.bushing import BushingKinematics
@@ -600,10 +599,10 @@ def test_friction_is_what_bench_and_calibration_say(in_device, driven):
     by_bench = -0.5 * rate - 2.0 * np.tanh(rate / 0.1)
     column = list(driven.coordinates.device).index("exo_knee")
     for found, share in ((contact, 1.0), (benched(contact, friction=0.3), 0.7)):
-        friction = passive_torques(driven, model, found, device)
+        friction = Wearer("", model, found, (), device=device).passive(driven)
         np.testing.assert_allclose(friction[:, column], share * by_bench)
         assert np.abs(np.delete(friction, column, axis=1)).max() == 0.0
-    assert not passive_torques(driven, model, contact, None).any()
+    assert not Wearer("", model, contact, ()).passive(driven).any()
 
 
 def test_a_factor_is_on_drives_at_true_angles(in_device, driven):
