@@ -13,15 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_exo.calibration.design_cuffs import Hold, Tried, hold
-from drake_exo.calibration.design_result import (
+from drake_exo.calibration.design import (
     DesignResult,
     joint_norm,
     largest_rate,
     mean_force,
     works,
-    worn_norm,
 )
+from drake_exo.calibration.design_cuffs import Hold, Tried, hold
 from drake_exo.calibration.design_variables import Variable, is_assistance
 from drake_exo.calibration.results import solve_summary, write_contact
 from drake_exo.calibration.settings import DesignSettings, DriveLimits
@@ -385,13 +384,11 @@ class Designed:
 
         From the program, including drawn and sized wearers.
         """
-        design = self.design
+        found = self.found.wearers
         return {
             name: {
-                "before": worn_norm(today, self.settings).newton,
-                "after": worn_norm(
-                    self.found.wearers[name], self.settings, design
-                ).newton,
+                "before": today.norm.newton,
+                "after": found[name].norm.newton,
             }
             for name, today in self.today.wearers.items()
         }
@@ -793,19 +790,15 @@ def forecast_norm(
         found: the design.
         after: calibrated wearer -> forecast movements.
     """
-    settings = found.problem.settings
     wearers = [found.wearers[name] for name in after]
     moved = [
         replace(own, trials=[m.trial for m in ms])
         for own, ms in zip(wearers, after.values(), strict=True)
     ]
-    ratio = np.divide(
-        *(
-            joint_norm(worn_norm(w, settings, found.design) for w in these)
-            for these in (moved, wearers)
-        )
+    forecast, promised = (
+        joint_norm(w.norm for w in these) for these in (moved, wearers)
     )
-    return float(ratio) * found.norm_n
+    return forecast / promised * found.norm_n
 
 
 def trial_label(trial: Trial, who: str) -> str:

@@ -12,9 +12,8 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from drake_exo.calibration.design import DesignProblem
+from drake_exo.calibration.design import DesignProblem, DesignResult, works
 from drake_exo.calibration.design_cuffs import fewer
-from drake_exo.calibration.design_result import DesignResult, works
 from drake_exo.calibration.design_variables import GAINS, Variable, design_of
 from drake_exo.calibration.phases import check_has_cuffs, check_knows_cuffs
 from drake_exo.calibration.problem import solved

@@ -264,8 +264,6 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "MovedWeight(b, first + 1, segment, 1j * weight)",
             "MovedWeight(b, first + 1, segment, weight)",
         ),
-    ],
-    "drake_exo/calibration/design_result.py": [
         ("duration += len(removed) * trial.duration", "pass"),
     ],
     "drake_exo/collocation/bushing_kernels.py": [

@@ -10,8 +10,12 @@ from worn import as_guessed, bands_of
 from worn import wearer as worn
 
 from drake_exo import designed, designing
-from drake_exo.calibration.design import DesignProblem
-from drake_exo.calibration.design_result import DesignResult, norm_of, works
+from drake_exo.calibration.design import (
+    DesignProblem,
+    DesignResult,
+    norm_of,
+    works,
+)
 from drake_exo.calibration.design_variables import Variable
 from drake_exo.calibration.settings import (
     CuffFreedom,

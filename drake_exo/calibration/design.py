@@ -10,17 +10,13 @@ effort. Limits on what is felt and on the device's work are named bounds.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from drake_exo.calibration.design_result import (
-    DesignResult,
-    WearerResult,
-    joint_norm,
-    norm_of,
-)
 from drake_exo.calibration.design_variables import (
     OFFSETS,
     PRELOADS,
@@ -70,8 +66,10 @@ from drake_exo.contact.strap import (
 from drake_exo.errors import InputError
 from drake_exo.measurement.trial import Trial
 from drake_exo.nlp import ipopt
-from drake_exo.nlp.ipopt import Iterate
+from drake_exo.nlp.ipopt import Iterate, Solution
 from drake_exo.nlp.program import BatchedProgram
+from drake_exo.nlp.sensitivity import Optimum
+from drake_exo.nlp.sparse import SparseProgram
 
 # Typical size of jerk in a design's cost, as a multiple of the contact's.
 _LOOSE = 10.0
@@ -108,7 +106,7 @@ class _Wearing(PhaseProblem):
         scale: float,
         weights_s: float,
     ):
-        self.wearer, self._posed = wearer, posed
+        self.wearer, self.posed = wearer, posed
         self._scale, self._weights_s = scale, weights_s
         # None while today's solution is not known: then there are no limits.
         self._today = posed.today and posed.today.wearers[wearer.name]
@@ -153,7 +151,7 @@ class _Wearing(PhaseProblem):
         names = [f"{cuff}.{w}" for w in PRELOADS]
         for joint in joints_below(self.model, cuff):
             names += [f"{joint}.{w}" for w in OFFSETS]
-        moved = [self._posed.variables[n] for n in names]
+        moved = [self.posed.variables[n] for n in names]
         return np.concatenate([super().places(cuff), moved])
 
     def equations(self, tree, bodies, bushings, load):
@@ -178,7 +176,7 @@ class _Wearing(PhaseProblem):
 
     def _of_cuff(self, cuff: str, names) -> np.ndarray:
         """A cuff's design variables of these names."""
-        return np.array([self._posed.variables[f"{cuff}.{n}"] for n in names])
+        return np.array([self.posed.variables[f"{cuff}.{n}"] for n in names])
 
     def _add_group(self, group, parameters):
         if group not in self.contact.bushings:
@@ -207,7 +205,7 @@ class _Wearing(PhaseProblem):
 
     def _hold_ends(self, movement: TrialProgram, at: Trial) -> None:
         """Give the person's end states; the device's are left free."""
-        if self._posed.settings.response == "own":
+        if self.posed.settings.response == "own":
             return
         names, grid = movement.coordinates, movement.grid
         ends = np.ix_([0, -1], names.columns(names.human))
@@ -216,7 +214,7 @@ class _Wearing(PhaseProblem):
         bound_feet(movement, at, PredictionEnds())
 
     def _terms(self, movement, at, effects):
-        settings, noise = self._posed.settings, self.settings.noise
+        settings, noise = self.posed.settings, self.settings.noise
         human = movement.torque[:, ~movement.coordinates.is_device_joint]
         terms = [minimised(human, settings.effort_nm)]
         if settings.response == "own":
@@ -242,7 +240,7 @@ class _Wearing(PhaseProblem):
 
     def _drive(self, movement: TrialProgram, at: Trial) -> None:
         """Tie the device's torques to today's and to the design."""
-        names, posed = movement.coordinates, self._posed
+        names, posed = movement.coordinates, self.posed
         torques = movement.torque[:, names.is_device_joint]
         today = at.device_moments
         passive, slope = self.wearer.passive(at), self.wearer.slope(at.q)
@@ -288,7 +286,7 @@ class _Wearing(PhaseProblem):
 
     def _add_forces(self, movement: TrialProgram) -> None:
         """Add the norm of the cuffs' forces, as mats would show them."""
-        settings = self._posed.settings
+        settings = self.posed.settings
         share = movement.grid.quadrature / self._weights_s
         used = share > 0.0
         for cuff, force in movement.cuffs.items():
@@ -313,7 +311,7 @@ class _Wearing(PhaseProblem):
         """
         if self._today is None:
             return
-        limits, program = self._posed.settings.limits, self.program
+        limits, program = self.posed.settings.limits, self.program
         times = [f"at {t:.3g} s" for t in movement.grid.times]
         for cuff, force in movement.cuffs.items():
             differ = self.wearer.shown(cuff)
@@ -424,19 +422,19 @@ class _Wearing(PhaseProblem):
             name = f"{self.wearer.name} {cuff} migration beyond its limit"
             beyond = self.program.add_variables([name], [1e-3])
             prog.AddBoundingBoxConstraint([0.0], [most], beyond)
-            forces = 0.5 * self._posed.settings.weight
+            forces = 0.5 * self.posed.settings.weight
             prog.AddLinearCost([_BEYOND * forces / most], 0.0, beyond)
             self._beyond[cuff] = beyond
         return self._beyond[cuff]
 
     def _most_migration(self, cuff: str) -> float:
         """Limit on the model's migration [m]."""
-        limit = 1e-3 * self._posed.settings.limits.migration_mm
+        limit = 1e-3 * self.posed.settings.limits.migration_mm
         return limit / self.wearer.slides(cuff)
 
     def _limit_pressure(self, movement, cuff: str) -> None:
         differ = self.wearer.shown(cuff)
-        settings = self._posed.settings
+        settings = self.posed.settings
         area_m2 = settings.freedom(cuff).area_m2
         today = 1e-3 * self._today.largest_forces[cuff][NORMAL] / area_m2
         most = self._allowed(settings.limits.pressure_kpa / differ, today)
@@ -453,7 +451,7 @@ class _Wearing(PhaseProblem):
     def _limit_rate(self, movement, cuff: str) -> None:
         """Limit how fast normal force changes from each node to the next."""
         differ, steps = self.wearer.shown(cuff), np.diff(movement.grid.times)
-        limit, n = self._posed.settings.limits.rate_n_s / differ, len(steps)
+        limit, n = self.posed.settings.limits.rate_n_s / differ, len(steps)
         most = self._allowed(limit, self._today.largest_rates[cuff])
         unit = "N/s", differ
         rate = self._new(movement, cuff, _RATE, unit, 100.0, most, n)
@@ -466,7 +464,7 @@ class _Wearing(PhaseProblem):
 
     def _limit_mean(self) -> None:
         """Limit each cuff's mean size of normal force, over time and trials."""
-        limit = self._posed.settings.limits.mean_n
+        limit = self.posed.settings.limits.mean_n
         if self._today is None or limit is None:
             return
         prog = self.program.prog
@@ -512,7 +510,7 @@ class _Wearing(PhaseProblem):
         names = movement.coordinates
         drive = self.wearer.drive(at)
         passive = at.device_moments - drive
-        for joint, limits in self._posed.settings.limits.drives.items():
+        for joint, limits in self.posed.settings.limits.drives.items():
             column = names.device.index(joint)
             own = passive[:, column]
             torque = movement.torque[:, names.joint(joint)]
@@ -538,8 +536,8 @@ class _Wearing(PhaseProblem):
 
     def _check_drive(self, joint: str, today: float) -> None:
         """Refuse a limit below today's torque if no variable changes it."""
-        most = self._posed.settings.limits.drives[joint].torque_nm
-        if today > most and not self._posed.assistance(joint):
+        most = self.posed.settings.limits.drives[joint].torque_nm
+        if today > most and not self.posed.assistance(joint):
             raise InputError(
                 f"design.limits.drives.{joint}.torque_nm is {most:g}; the "
                 f"drive gives {self.wearer.name} up to {today:.3g} N m, which "
@@ -575,7 +573,7 @@ class _Wearing(PhaseProblem):
 
     def _limit_support(self) -> None:
         """Keep the device's work over all trials near a share of today's."""
-        posed = self._posed
+        posed = self.posed
         limit = posed.settings.limits.support
         if self._today is None or limit is None:
             return
@@ -652,7 +650,7 @@ class _Wearing(PhaseProblem):
                 beyond = indices(self._beyond[cuff])
                 over = np.abs(slid).max() - self._most_migration(cuff)
                 x[beyond] = np.maximum(x[beyond], over)
-            area = self._posed.settings.freedom(cuff).area_m2
+            area = self.posed.settings.freedom(cuff).area_m2
             area *= design.cuffs.get(cuff, CuffDesign()).area
             limited["migration", cuff] = slid
             limited["pressure", cuff] = 1e-3 * pressing / area
@@ -827,10 +825,7 @@ class DesignProblem(Compiles):
                     part.movements, part.trials, part.wearer.trials, strict=True
                 )
             ]
-            contact = design.contact(part.wearer.contact)
-            wearers[part.wearer.name] = WearerResult(
-                part, solution, contact, trials
-            )
+            wearers[part.wearer.name] = WearerResult(part, design, trials)
         return DesignResult(self, solution, compiled, values, wearers)
 
 
@@ -840,3 +835,204 @@ def _held(v: Variable, held: Mapping[str, float] | bool) -> Variable:
     if held and v.name in held:
         return replace(v, lower=held[v.name], upper=held[v.name])
     return v
+
+
+@dataclass(frozen=True)
+class WearerResult:
+    """What a design makes of one wearer's movements.
+
+    Attributes:
+        problem: the wearer's part of the program.
+        design: what is worn.
+        trials: the solution of each movement, named as measured.
+    """
+
+    problem: _Wearing
+    design: Design
+    trials: list[Trial]
+
+    @property
+    def norm(self) -> Norm:
+        """The norm of the cuffs' forces, see `norm_of`."""
+        shown = self.problem.wearer.shown
+        return norm_of(
+            self.trials, self.problem.posed.settings, self.design, shown
+        )
+
+    @cached_property
+    def largest_forces(self) -> dict[str, np.ndarray]:
+        """Cuff -> largest tangential, normal force, moment (3,) [N, N, N m]."""
+        forces = {
+            cuff: [np.abs(t.cuffs[cuff].components) for t in self.trials]
+            for cuff in self.problem.bushings
+        }
+        return {c: np.vstack(f).max(axis=0) for c, f in forces.items()}
+
+    @cached_property
+    def largest_rates(self) -> dict[str, float]:
+        """Cuff -> largest rate of its normal force [N/s]."""
+        return {
+            cuff: max(largest_rate(t, cuff) for t in self.trials)
+            for cuff in self.problem.bushings
+        }
+
+    @cached_property
+    def mean_forces(self) -> dict[str, float]:
+        """Cuff -> mean size of its normal force over time and trials [N]."""
+        return {
+            cuff: mean_force(self.trials, cuff)
+            for cuff in self.problem.bushings
+        }
+
+    @cached_property
+    def largest_deflections(self) -> dict[str, np.ndarray]:
+        """Cuff -> largest deflection (3,) over trials [m, m, rad]."""
+        built = self.design.bushings(self.problem.wearer.contact.bushings)
+        return {
+            cuff: kinematics.largest(self.trials, built[cuff].origin)
+            for cuff, kinematics in self.problem.bushings.items()
+        }
+
+    @cached_property
+    def largest_moments(self) -> np.ndarray:
+        """Largest moment of each of the person's joints (m,) [N m]."""
+        human = [
+            np.abs(t.moments[:, ~t.coordinates.is_device_joint])
+            for t in self.trials
+        ]
+        return np.vstack(human).max(axis=0)
+
+
+@dataclass(frozen=True)
+class DesignResult:
+    """Result of a solved design.
+
+    Attributes:
+        problem: the problem that was solved.
+        solution: state of the solve.
+        compiled: the program as solved; `problem.program` may have been added
+            to since.
+        values: name -> value of each design variable (straps as compliance).
+        wearers: wearer's name -> trials on the design.
+    """
+
+    problem: DesignProblem
+    solution: Solution
+    compiled: SparseProgram
+    values: dict[str, float]
+    wearers: dict[str, WearerResult]
+
+    @property
+    def design(self) -> Design:
+        """The design that is to be built.
+
+        Raises:
+            SealedSolutionError: the solve failed.
+        """
+        self.solution.check()
+        return design_of(self.values, self.problem.without)
+
+    @property
+    def norm_n(self) -> float:
+        """The norm of all cuffs' forces that was minimised [N]."""
+        return joint_norm(worn.norm for worn in self.wearers.values())
+
+    def slopes(self) -> dict[str, float]:
+        """Derivative of the optimal cost by each design variable that is fixed.
+
+        Fixed are those with equal bounds; free ones that sit at a bound are
+        held there and have no entry.
+        """
+        problem, program = self.problem, self.compiled
+        y = program.restrict(self.solution.raw_values())
+        index = {
+            n: problem.program.index(v) for n, v in problem.variables.items()
+        }
+        fixed = {v.name: index[v.name] for v in problem.design if not v.free}
+        free = [i for n, i in index.items() if n not in fixed]
+        built = [v for part in problem.parts for v in part.built]
+        built = problem.program.indices(np.concatenate(built))
+        touching = np.array(sorted({*free, *built}), int)
+        border = program.unknowns.column_of(touching)
+        optimum = Optimum(program, y, border)
+        slopes = optimum.cost_by_fixed(np.array(list(fixed.values()), int))
+        return dict(zip(fixed, map(float, slopes), strict=True))
+
+
+def largest_rate(trial: Trial, cuff: str) -> float:
+    """Largest rate of a cuff's normal force, sample to sample [N/s]."""
+    rises = np.diff(trial.cuffs[cuff].normal) / np.diff(trial.times)
+    return float(np.abs(rises).max())
+
+
+def mean_force(trials: Sequence[Trial], cuff: str) -> float:
+    """Mean size of a cuff's normal force, over time and then trials [N]."""
+    means = [
+        np.trapezoid(np.abs(t.cuffs[cuff].normal), t.times) / t.duration
+        for t in trials
+    ]
+    return float(np.mean(means))
+
+
+class Norm(NamedTuple):
+    """The norm that is minimised, of all cuffs' forces in some trials.
+
+    Attributes:
+        total: integral of |force|^p over time, summed over cuffs [N^p s].
+        duration: time, summed over trials and cuffs [s].
+        order: p.
+    """
+
+    total: float
+    duration: float
+    order: float
+
+    @property
+    def newton(self) -> float:
+        """The norm [N]."""
+        return float((self.total / self.duration) ** (1.0 / self.order))
+
+
+def norm_of(
+    trials: Sequence[Trial],
+    settings: DesignSettings,
+    design: Design | None = None,
+    shown: Callable[[str], float] = lambda cuff: 1.0,
+) -> Norm:
+    """The norm of one wearer's trials.
+
+    Forces are taken as mats would show them and divided by the cuff's area
+    relative to today's. A cuff that is left out counts as one without force.
+
+    Args:
+        trials: solved.
+        settings: the design's.
+        design: on which the trials were; nothing changed by default.
+        shown: factor on a cuff's force for what mats would show, see Wearer.
+    """
+    cuffs = {} if design is None else design.cuffs
+    removed = () if design is None else design.removed
+    p, total, duration = settings.exponent, 0.0, 0.0
+    for trial in trials:
+        duration += len(removed) * trial.duration
+        for cuff, force in trial.cuffs.items():
+            square = force.normal**2
+            square = square + settings.shear_weight * force.tangential**2
+            square *= (shown(cuff) / cuffs.get(cuff, CuffDesign()).area) ** 2
+            total += float(np.trapezoid(square ** (p / 2), trial.times))
+            duration += trial.duration
+    return Norm(total, duration, p)
+
+
+def joint_norm(norms: Iterable[Norm]) -> float:
+    """Norm of several wearers together [N]."""
+    totals, durations, orders = zip(*norms, strict=True)
+    return Norm(sum(totals), sum(durations), orders[0]).newton
+
+
+def works(result: DesignResult) -> dict[str, float]:
+    """Wearer -> work of the device along its movements of today [J]."""
+    return {
+        name: found.problem.work(found.trials)
+        for name, found in result.wearers.items()
+    }

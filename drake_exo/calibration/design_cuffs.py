@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_exo.calibration.design import DesignProblem
-from drake_exo.calibration.design_result import DesignResult
+from drake_exo.calibration.design import DesignProblem, DesignResult
 from drake_exo.calibration.design_variables import design_of, partner
 from drake_exo.calibration.wearers import less
 from drake_exo.contact.bushing import BushingKinematics

@@ -10,8 +10,8 @@ from program_derivatives import check_derivatives
 from worn import FORCES, FREEDOM, TORQUES_NM, as_guessed
 from worn import wearer as worn
 
-from drake_exo.calibration.design import DesignProblem
-from drake_exo.calibration.design_result import (
+from drake_exo.calibration.design import (
+    DesignProblem,
     Norm,
     joint_norm,
     norm_of,

@@ -10,8 +10,7 @@ import yaml
 from scipy.interpolate import make_interp_spline
 
 import drake_exo as dx
-from drake_exo.calibration.design import DesignProblem
-from drake_exo.calibration.design_result import works
+from drake_exo.calibration.design import DesignProblem, works
 from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.settings import (
     DesignSettings,
