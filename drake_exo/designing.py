@@ -152,7 +152,7 @@ def design(
                 )
         return forecast_norm(result, moved)
 
-    found, tried = fewer(found, forecast, SolveWatch)
+    found, tried = fewer(found, forecast)
     if not tried:
         forecast(found)
     after = built[found.problem.without]

@@ -274,9 +274,9 @@ def test_what_would_hang_loose_as_built_is_no_design(study, monkeypatch):
     """However little its cuffs press; with every cuff the verdict tells it."""
     seen = []
 
-    def fewer(found, forecast, watch):
+    def fewer(found, forecast):
         forecast(found)
-        rival = design_cuffs._without(found, ("shank",), watch)
+        rival = design_cuffs._without(found, ("shank",))
         with pytest.raises(InputError, match=r"loose: at exo_knee .* 5\.2 N m"):
             forecast(rival)
         seen.append(rival)
@@ -303,9 +303,9 @@ def test_a_design_without_a_cuff_is_told_and_written(
 ):
     """In tables, files, page and what reads them."""
 
-    def one_less(found, forecast, watch):
+    def one_less(found, forecast):
         every = Tried((), found.norm_n, forecast(found), found.design)
-        rival = design_cuffs._without(found, ("shank",), watch)
+        rival = design_cuffs._without(found, ("shank",))
         norm = forecast(rival)
         less = Tried(("shank",), rival.norm_n, norm, rival.design)
         return rival, [every, less]

@@ -15,6 +15,7 @@ import numpy as np
 
 from drake_exo.calibration.design import DesignProblem, DesignResult
 from drake_exo.calibration.design_variables import design_of, partner
+from drake_exo.calibration.solving import SolveWatch
 from drake_exo.calibration.wearers import less
 from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.parameters import ContactModel
@@ -22,7 +23,7 @@ from drake_exo.contact.strap import Design
 from drake_exo.errors import InputError
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
-from drake_exo.nlp.ipopt import STOPPED_BY_USER, Iterate
+from drake_exo.nlp.ipopt import STOPPED_BY_USER
 
 _STEP_RAD = 1e-5
 
@@ -125,7 +126,6 @@ class Tried:
 def fewer(
     found: DesignResult,
     forecast: Callable[[DesignResult], float],
-    watch: Callable[[str], Callable[[Iterate], None]],
 ) -> tuple[DesignResult, list[Tried]]:
     """The best design with as few cuffs as it needs, by greedy removal.
 
@@ -139,7 +139,6 @@ def fewer(
         found: solved design with every cuff.
         forecast: norm of the forces on a design as built [N]; raises InputError
             if nobody can move on it, or it hangs loose.
-        watch: makes the callback on iterates from a text on what is solved.
 
     Returns:
         The best design, and all that were tried, the one with every cuff first.
@@ -162,7 +161,7 @@ def fewer(
                 continue
             without = (*best[1].problem.without, *sorted(pair))
             try:
-                rival = _without(found, without, watch)
+                rival = _without(found, without)
                 if rival.solution.was_stopped:
                     raise KeyboardInterrupt
                 norm = forecast(rival)
@@ -180,9 +179,7 @@ def fewer(
         best = least
 
 
-def _without(
-    found: DesignResult, without: tuple[str, ...], watch
-) -> DesignResult:
+def _without(found: DesignResult, without: tuple[str, ...]) -> DesignResult:
     """The design made again without some cuffs.
 
     Raises:
@@ -202,7 +199,7 @@ def _without(
         today=problem.today,
         support=problem.support,
         without=without,
-    ).solve(on_iterate=watch(f"without {', '.join(without)}"))
+    ).solve(on_iterate=SolveWatch(f"without {', '.join(without)}"))
     solution = rival.solution
     if not (solution.success or solution.was_stopped):
         raise InputError(f"{solution.status}: {solution.explain()}")

@@ -41,7 +41,7 @@ def norms(monkeypatch):
     """Cuffs left out -> norm in the forecast; there is no other design."""
     table = {}
 
-    def without(found, without, watch):
+    def without(found, without):
         norm = table.get(frozenset(without))
         if norm is None:
             raise InputError("it hangs loose")
@@ -68,7 +68,7 @@ def built(found):
 
 def test_the_best_is_kept_and_less_is_tried_from_there(norms):
     norms(shank=0.8, thigh=0.6, shank_thigh=0.5)
-    best, tried = fewer(design(), built, None)
+    best, tried = fewer(design(), built)
     assert set(best.problem.without) == {"shank", "thigh"}
     assert [t.without for t in tried] == [
         (),
@@ -86,7 +86,7 @@ def test_the_best_is_kept_and_less_is_tried_from_there(norms):
 
 def test_a_cuff_that_buys_nothing_by_its_absence_stays(norms):
     norms(shank=1.0, thigh=1.2)
-    best, tried = fewer(design(), built, None)
+    best, tried = fewer(design(), built)
     assert best.problem.without == ()
     assert len(tried) == 4
 
@@ -94,25 +94,25 @@ def test_a_cuff_that_buys_nothing_by_its_absence_stays(norms):
 def test_one_that_nobody_can_move_on_is_none(norms):
     """However little it promised."""
     norms(shank="nobody")
-    best, tried = fewer(design(), built, None)
+    best, tried = fewer(design(), built)
     assert best.problem.without == ()
     assert tried[1].why_not == "nobody moves so"
 
 
 def test_only_what_may_be_removed_is_tried(norms):
     norms(shank=0.5, thigh=0.1)
-    best, tried = fewer(design(removable=("shank",)), built, None)
+    best, tried = fewer(design(removable=("shank",)), built)
     assert best.problem.without == ("shank",)
     assert [t.without for t in tried] == [(), ("shank",)]
     whole = design(removable=())
-    assert fewer(whole, built, None) == (whole, [])
+    assert fewer(whole, built) == (whole, [])
 
 
 def test_of_a_symmetric_design_both_of_a_pair_are_left_out(norms):
     pair = frozenset({"calf_left", "calf_right"})
     norms({pair: 0.6, pair | {"shank"}: 0.4}, shank=0.8, calf=0.1)
     whole = design(removable=("shank", *pair), alike=True)
-    best, tried = fewer(whole, built, None)
+    best, tried = fewer(whole, built)
     assert set(best.problem.without) == pair | {"shank"}
     assert [set(t.without) for t in tried] == [
         set(), {"shank"}, pair, pair | {"shank"}
@@ -124,7 +124,7 @@ def test_of_a_symmetric_design_both_of_a_pair_are_left_out(norms):
 def test_stopped_it_keeps_the_best_so_far(norms, how):
     """In a solve, or in the forecast after it."""
     norms(shank=0.8, thigh=0.9, shank_thigh=how)
-    best, tried = fewer(design(), built, None)
+    best, tried = fewer(design(), built)
     assert best.problem.without == ("shank",)
     assert [t.without for t in tried][-2:] == [("pelvis",), ("shank", "thigh")]
     assert tried[-1].why_not == "stopped by the user"
@@ -132,10 +132,10 @@ def test_stopped_it_keeps_the_best_so_far(norms, how):
 
 def test_stopped_among_rivals_it_keeps_the_best_of_them(norms):
     norms(shank=0.3, thigh="stopped", pelvis=0.2)
-    best, _ = fewer(design(), built, None)
+    best, _ = fewer(design(), built)
     assert best.problem.without == ("shank",)
     norms(shank=1.3)
-    best, _ = fewer(design(), built, None)
+    best, _ = fewer(design(), built)
     assert best.problem.without == ()
 
 
