@@ -247,12 +247,9 @@ class Designed:
 
     def variables(self) -> list[dict]:
         """One row for each free design variable, and each removable cuff."""
-        rows = []
-        for v in self.found.problem.design:
-            if not v.free:
-                continue
-            value = self.found.values[v.name]
-            row = {
+
+        def row(v: Variable, value: float) -> dict:
+            return {
                 "name": v.name,
                 "unit": v.unit,
                 "today": v.today,
@@ -263,26 +260,21 @@ class Designed:
                 "slope_today": self.slopes.get(v.name),
                 "extrapolated": v.unit == "m" and abs(value) > _KNOWN_M,
             }
+
+        rows = []
+        for v in self.found.problem.design:
+            if not v.free:
+                continue
+            rows.append(row(v, self.found.values[v.name]))
             if v.is_strap:
                 cuff, _, what = v.name.partition(".")
                 strap = getattr(self.design.cuffs[cuff], what)
-                row |= {"strap": strap, "strap_unit": _strap_unit(v)}
-            rows.append(row)
+                rows[-1] |= {"strap": strap, "strap_unit": _strap_unit(v)}
         for cuff in self.peaks:
             if self.settings.freedom(cuff).removable:
-                rows.append(
-                    {
-                        "name": f"{cuff}{_REMOVED}",
-                        "unit": "1",
-                        "today": 0.0,
-                        "value": float(cuff in self.design.removed),
-                        "lower": 0.0,
-                        "upper": 1.0,
-                        "at_bound": False,
-                        "slope_today": None,
-                        "extrapolated": False,
-                    }
-                )
+                v = Variable(f"{cuff}{_REMOVED}", "1", 0.0, 1.0, 0.0, 1.0)
+                left_out = float(cuff in self.design.removed)
+                rows.append(row(v, left_out) | {"at_bound": False})
         return rows
 
     def felt(self, wearers: Sequence[str] | None = None) -> list[dict]:

@@ -15,7 +15,7 @@ import numpy as np
 from drake_exo.calibration.design import DesignProblem, DesignResult, works
 from drake_exo.calibration.design_cuffs import fewer
 from drake_exo.calibration.design_variables import GAINS, Variable, design_of
-from drake_exo.calibration.phases import check_has_cuffs, check_knows_cuffs
+from drake_exo.calibration.phases import check_knows_cuffs
 from drake_exo.calibration.problem import solved
 from drake_exo.calibration.settings import (
     DesignLimits,
@@ -91,14 +91,12 @@ def design(
     >>> found.success, found.peaks["thigh"].forecast_after < 100.0
     (True, True)
     """
-    studies = [study] if not isinstance(study, Sequence) else list(study)
+    studies, contacts = (
+        list(given) if isinstance(given, Sequence) else [given]
+        for given in (study, calibration)
+    )
     for one in studies:
         check_type(one, Study, "study")
-    contacts = (
-        [calibration]
-        if not isinstance(calibration, Sequence)
-        else list(calibration)
-    )
     if not studies:
         raise InputError("there are no studies; give at least one")
     if len(studies) != len(contacts):
@@ -306,7 +304,6 @@ def movements(
     Raises:
         InputError: a movement cannot be solved; or likewise.
     """
-    check_has_cuffs(study.model)
     check_knows_cuffs(contact, study.model)
     is_today, design = design is None, design or Design()
     design.check(study.model)

@@ -152,9 +152,9 @@ def test_what_is_felt_is_of_the_largest_forces(made, felt):
             # N on m^2 to kPa.
             assert own["pressure_kpa"] == pytest.approx(peak / area / 1000.0)
             contacts = [
-                getattr(made, "today" if when == "before" else "found")
-                .wearers[name]
-                .contact
+                made.worn[name].contact
+                if when == "before"
+                else made.design.contact(made.worn[name].contact)
                 for name in DIFFER
             ]
             bent = [
