@@ -401,10 +401,14 @@ class Worker:
 
     Args:
         memory_mb: memory that it may use; no limit if None.
+
+    Attributes:
+        code: exit code of its last process that ended at work, else None.
     """
 
     def __init__(self, memory_mb: int | None = None):
         self.memory_mb = memory_mb
+        self.code: int | None = None
         self.job: Job | None = None
         self.attempt = 0
         self.since = 0.0
@@ -459,7 +463,7 @@ class Worker:
 
     def _died(self, job: Job) -> Ended | None:
         self._close_pipes()
-        code = self._process.wait()
+        self.code = code = self._process.wait()
         self._said.seek(0, 2)
         self._said.seek(max(self._said.tell() - 4000, 0))
         said = self._said.read().decode("utf-8", "replace")

@@ -6,17 +6,13 @@ part are moved onto the surface and its sharp edges, which a level set cuts off.
 This part is meshed anew with elements sized by the local thickness, and its
 nodes are moved once more. A flat top is a face of the grid.
 
-Mmg runs in a process of its own (this module as a script), since it never ends
-for some bodies; arrays go through stdin and stdout.
+Mmg runs in a process of its own, since it never ends for some bodies.
 """
 
-import io
-import subprocess
-import sys
+import resource
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
-from zipfile import BadZipFile
 
 import igl
 import numpy as np
@@ -25,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from drake_exo.errors import InputError, first_line
 from drake_exo.files.mesh import read_cells
+from drake_exo.jobs.engine import ATTEMPTS, Job, Worker
 from drake_exo.soles.mesh import (
     TetMesh,
     check_size,
@@ -41,7 +38,7 @@ from drake_exo.soles.mesh import (
 
 
 class MmgError(InputError):
-    """Mmg is not installed, fails, or takes too long."""
+    """Mmg fails, or takes too long."""
 
 
 def run_mmg(body: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -54,31 +51,32 @@ def run_mmg(body: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
             `size` (n,), edge length of the new elements [m].
 
     Raises:
-        MmgError: Mmg is not installed, fails, or takes too long.
+        MmgError: Mmg fails, or takes too long.
     """
-    whole = io.BytesIO()
-    np.savez(whole, **body)
-    run = subprocess.run(
-        [sys.executable, "-m", __name__],
-        input=whole.getvalue(),
-        capture_output=True,
-        check=False,
-    )
-    if run.returncode != 0:
-        said = first_line(run.stderr.decode(errors="replace"))
-        raise MmgError(
-            said if run.returncode == 1 and said
-            else f"Mmg ended with code {run.returncode}"
-        )  # fmt: skip
+    worker = Worker()
     try:
-        with np.load(io.BytesIO(run.stdout)) as got:
-            return got["nodes"], got["tets"]
-    except (BadZipFile, ValueError, OSError, EOFError):
-        raise MmgError("Mmg gave no mesh") from None
+        job = Job("Mmg", f"{__name__}:_remeshed", {"body": body})
+        worker.start(job, ATTEMPTS)  # a second attempt would end likewise
+        ended = worker.end()
+    finally:
+        worker.close()
+    if ended.state == "lost":
+        raise MmgError(f"Mmg ended with code {worker.code}")
+    if ended.state != "done":
+        raise MmgError(ended.error)
+    return ended.value
 
 
-def _remeshed(body) -> dict[str, np.ndarray]:
+def _remeshed(body) -> tuple[np.ndarray, np.ndarray]:
     """Mmg's mesh of `run_mmg`'s body, computed in this process."""
+    resource.setrlimit(resource.RLIMIT_CPU, (_SECONDS, _SECONDS))
+    try:
+        return _by_mmg(body)
+    except Exception as error:  # whatever Mmg makes of it
+        raise MmgError(f"Mmg: {first_line(str(error))}") from error
+
+
+def _by_mmg(body) -> tuple[np.ndarray, np.ndarray]:
     from mmgpy import MmgMesh3D
 
     mesh = MmgMesh3D()
@@ -94,12 +92,11 @@ def _remeshed(body) -> dict[str, np.ndarray]:
         )  # fmt: skip
         # Mmg's reference of cells below zero.
         inside = mesh.get_tetrahedra_with_refs()[1] == 3
-        return {"nodes": mesh.get_vertices(),
-                "tets": mesh.get_tetrahedra()[inside]}  # fmt: skip
+        return mesh.get_vertices(), mesh.get_tetrahedra()[inside]
     mesh.set_field("metric", body["size"][:, None])
     typical = float(np.median(body["size"]))
     mesh.remesh(hgrad=_GRADATION, hausd=0.1 * typical, verbose=-1)
-    return {"nodes": mesh.get_vertices(), "tets": mesh.get_tetrahedra()}
+    return mesh.get_vertices(), mesh.get_tetrahedra()
 
 
 Unit = Literal["m", "cm", "mm", "inch"]
@@ -645,23 +642,3 @@ def _fixed_nodes(nodes, cells, corners, top, flat) -> np.ndarray:
         return skin[np.abs(nodes[skin, 2] - height) < _LEVEL * size]
     away = _nearest(corners[top], nodes[skin])[2]
     return skin[away < 0.1 * size]
-
-
-if __name__ == "__main__":
-    import os
-    import resource
-
-    # Libraries may print: stdout proper is for the arrays alone.
-    out = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
-    resource.setrlimit(resource.RLIMIT_CPU, (_SECONDS, _SECONDS))
-    try:
-        found = _remeshed(np.load(io.BytesIO(sys.stdin.buffer.read())))
-    except ImportError:
-        sys.exit("mmgpy is not installed (pip install mmgpy)")
-    except Exception as error:  # whatever Mmg makes of it
-        sys.exit(f"Mmg: {error}")
-    whole = io.BytesIO()
-    np.savez(whole, **found)
-    out.write(whole.getvalue())
-    out.close()
