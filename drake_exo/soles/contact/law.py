@@ -214,16 +214,16 @@ class Ground:
 
     def _at(self, P: np.ndarray, dx: int = 0, dy: int = 0) -> np.ndarray:
         """Height or a derivative below places (k, 2 or 3); (k,)."""
+        if self.is_flat:
+            return np.zeros(len(P))
         return self._spline.ev(P[:, 0], P[:, 1], dx=dx, dy=dy)
 
     def height(self, P: np.ndarray) -> np.ndarray:
         """Height of the ground [m], (k,), below places (k, 2) or (k, 3) [m]."""
-        return np.zeros(len(P)) if self.is_flat else self._at(P)
+        return self._at(P)
 
     def slope(self, P: np.ndarray) -> np.ndarray:
         """∂h/∂x and ∂h/∂y below places, (k, 2)."""
-        if self.is_flat:
-            return np.zeros((len(P), 2))
         return np.stack([self._at(P, 1, 0), self._at(P, 0, 1)], axis=1)
 
     def check_below(self, places: np.ndarray, name: str) -> None:
@@ -274,13 +274,9 @@ class Ground:
 
         Of the projected places, and of the planes' turn [rad/m].
         """
-        level = np.tile(np.diag([1.0, 1.0, 0.0]), (len(P), 1, 1))
-        if self.is_flat:
-            return level, np.zeros_like(level)
-        _, axes = self.planes(P)
-        n = axes[:, 2]
+        n = self.planes(P)[1][:, 2]
         xx, xy, yy = (self._at(P, *d) for d in ((2, 0), (1, 1), (0, 2)))
-        by = np.zeros_like(level)  # of (−∂h/∂x, −∂h/∂y, 1)
+        by = np.zeros((len(P), 3, 3))  # of (−∂h/∂x, −∂h/∂y, 1)
         by[:, 0, 0], by[:, 0, 1] = -xx, -xy
         by[:, 1, 0], by[:, 1, 1] = -xy, -yy
         across = np.eye(3) - n[:, :, None] * n[:, None, :]
