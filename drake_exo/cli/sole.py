@@ -27,6 +27,41 @@ from drake_exo.soles.optimize.files import (
     read_summary,
 )
 
+_FOLDERS = "folder of 'sole optimize' or 'sole study'"
+_LIMITS = (
+    "limits on stability, tilt and strain: all keeps the case's, none leaves "
+    "them out as in the paper"
+)
+_ARGUMENTS = {
+    "case": {
+        "metavar": "CASE.yaml",
+        "type": Path,
+        "help": "case file: sole, material, load and, where given, limits",
+    },
+    "source": {"metavar": "DIR", "type": Path},
+    "--mesh": {
+        "type": Path,
+        "help": "mesh file to use instead of the case's",
+    },
+    "--data-root": {
+        "type": Path,
+        "help": "folder that the case's paths are relative to "
+        "(default: the case file's)",
+    },
+    "--limits": {
+        "choices": ("all", "none"),
+        "default": "all",
+        "help": f"{_LIMITS} (default: all)",
+    },
+    "--iterations": {
+        "type": count,
+        "metavar": "N",
+        "help": "largest number of iterations of the last stage (default: the "
+        "case's)",
+    },
+    "--jobs": {"type": positive, "default": 2},
+}
+
 
 def add_arguments(sole: ArgumentParser) -> None:
     """Add the arguments of the command."""
@@ -46,48 +81,45 @@ def add_arguments(sole: ArgumentParser) -> None:
     _add_case(parser)
     resumed = "go on from an earlier run's checkpoint, into another --out"
     parser.add_argument("--resume", type=Path, metavar="DIR", help=resumed)
-    _add_limits(parser, ("all", "none"))
-    _add_iterations(parser)
+    _add(parser, "--limits", "--iterations")
     add_accept(parser)
-    _add_jobs(parser, "starts (or walks) to search at a time")
+    starts = "starts (or walks) to search at a time (default: 2)"
+    _add(parser, "--jobs", help=starts)
     five = "optimise De Magistris's five cases, beside Table 2 of the paper"
     parser = job("study", _study, five)
     coarse = "only two stages on a coarse mesh, for a first look (two minutes)"
     parser.add_argument("--coarse", action="store_true", help=coarse)
-    _add_limits(parser, ("all", "none", "both"))
-    _add_iterations(parser)
+    both = f"{_LIMITS}, both runs it both ways (default: all)"
+    _add(parser, "--limits", choices=("all", "none", "both"), help=both)
+    _add(parser, "--iterations")
     add_accept(parser)
     front = "also find the least c_tr above floors of c_rot, on a coarse mesh"
     parser.add_argument("--front", action="store_true", help=front)
-    _add_jobs(parser, "stages of starts to run at a time")
-    parser.add_argument(
-        "--mesh", type=Path, help="mesh file to use instead of the brick"
+    at_once = "stages of starts to run at a time (default: 2)"
+    _add(parser, "--jobs", help=at_once)
+    _add(parser, "--mesh", help="mesh file to use instead of the brick")
+    root = (
+        f"folder that holds the authors' step, {paper.AUTHORS_STEP} "
+        "(default: none; the load is our own walking pattern)"
     )
-    parser.add_argument(
-        "--data-root",
-        type=Path,
-        help=f"folder that holds the authors' step, {paper.AUTHORS_STEP} "
-        "(default: none; the load is our own walking pattern)",
-    )
-    add_out(parser, required=True, help="folder for the results")
+    _add(parser, "--data-root", help=root)
+    add_out(parser, required=True)
     front = (
         "find the least stiffness at heel strike (c_tr) above eight floors of "
         "the stiffness against tilting (c_rot)"
     )
     parser = job("front", _front, front)
     _add_case(parser)
-    _add_limits(parser, ("all", "none"))
+    _add(parser, "--limits")
     strain = "compare heel strike of designs in finite and in small strain"
     parser = job("strain", _strain, strain)
-    folders = "folder of 'sole optimize' or 'sole study'"
-    _add_source(parser, f"{folders}, or a case file")
-    _add_files(parser)
+    _add_source(parser, f"{_FOLDERS}, or a case file")
+    _add(parser, "--mesh", "--data-root")
     again = "draw a study's or a design's pictures again, and report.html"
-    _add_source(job("report", _report, again), folders)
+    _add_source(job("report", _report, again), _FOLDERS)
     spheres = "fit a smooth contact law of a few spheres to a simulated sole"
     parser = job("reduce", _reduce, spheres)
-    simulated = "folder of 'sole simulate' or 'sole optimize'"
-    parser.add_argument("source", type=Path, metavar="DIR", help=simulated)
+    _add(parser, "source", help="folder of 'sole simulate' or 'sole optimize'")
     parser.add_argument(
         "--spheres", type=count, default=4, help="how many to fit (default: 4)"
     )
@@ -100,62 +132,23 @@ def add_arguments(sole: ArgumentParser) -> None:
     add_out(parser, required=True, help=law)
 
 
+def _add(parser, *names: str, **changed) -> None:
+    """Add some of `_ARGUMENTS`, with changes for this command."""
+    for name in names:
+        parser.add_argument(name, **_ARGUMENTS[name] | changed)
+
+
 def _add_case(parser) -> None:
     """Add the case file, its --mesh and --data-root, and --out."""
-    what = "case file: sole, material, load and, where given, limits"
-    parser.add_argument("case", type=Path, metavar="CASE.yaml", help=what)
-    _add_files(parser)
-    add_out(parser, required=True, help="folder for the results")
-
-
-def _add_files(parser) -> None:
-    """Add --mesh and --data-root: where a case finds its files."""
-    parser.add_argument(
-        "--mesh", type=Path, help="mesh file to use instead of the case's"
-    )
-    parser.add_argument(
-        "--data-root",
-        type=Path,
-        help="folder that the case's paths are relative to "
-        "(default: the case file's)",
-    )
+    _add(parser, "case", "--mesh", "--data-root")
+    add_out(parser, required=True)
 
 
 def _add_source(parser, help: str) -> None:
     """Add the folder of an optimisation, and --out."""
-    parser.add_argument("source", type=Path, metavar="DIR", help=help)
+    _add(parser, "source", help=help)
     again = "folder for the results (default: DIR)"
     add_out(parser, "replace earlier results", help=again)
-
-
-def _add_limits(parser, choices) -> None:
-    """Add --limits: whether stability, tilt and strain are limited."""
-    parser.add_argument(
-        "--limits",
-        choices=choices,
-        default="all",
-        help="limits on stability, tilt and strain: all keeps the case's, none "
-        "leaves them out as in the paper"
-        + (", both runs it both ways" if "both" in choices else "")
-        + " (default: all)",
-    )
-
-
-def _add_jobs(parser, what: str) -> None:
-    parser.add_argument(
-        "--jobs", type=positive, default=2, help=f"{what} (default: 2)"
-    )
-
-
-def _add_iterations(parser) -> None:
-    """Add --iterations: how long the last stage may go on."""
-    parser.add_argument(
-        "--iterations",
-        type=count,
-        metavar="N",
-        help="largest number of iterations of the last stage (default: the "
-        "case's)",
-    )
 
 
 def _read_case(args, path: Path) -> soles.Case:
