@@ -245,28 +245,29 @@ class Load:
         Raises:
             InputError: There are no loads, or not as many weights.
         """
-        loads, weights, times, end = list(loads), list(weights), [], None
+        loads, weights, shifted = list(loads), list(weights), []
         if not loads or len(loads) != len(weights):
             raise InputError(
                 f"there are {len(loads)} loads and {len(weights)} weights; "
                 "give at least one load, and a weight for each"
             )
         for load in loads:
-            shift = 0.0 if end is None else end + _PAUSE_S - load.times[0]
-            times.append(load.times + shift)
-            end = times[-1][-1]
+            if shifted:
+                end = shifted[-1].times[-1]
+                shift = end + _PAUSE_S - load.times[0]
+                load = replace(load, times=load.times + shift)
+            shifted.append(load)
         first = np.cumsum([0, *(len(load.times) for load in loads[:-1])])
         each = list(zip(loads, first, weights, strict=True))
         return cls(
-            np.concatenate(times),
-            np.concatenate([load.force for load in loads]),
-            np.concatenate([load.zmp for load in loads]),
-            "; ".join(load.name for load in loads),
-            _joined(loads, "free_moment", 0.0),
-            _joined(loads, "rotation", np.full((3, 3), np.nan)),
-            _joined(loads, "moment_cut", 0.0),
-            tuple(int(n + k) for load, n, _ in each for k in load.begins),
-            tuple(float(w * s) for load, _, w in each for s in load.shares),
+            **{name: _joined(shifted, name) for name in _SHAPES},
+            name="; ".join(load.name for load in loads),
+            begins=tuple(
+                int(n + k) for load, n, _ in each for k in load.begins
+            ),
+            weights=tuple(
+                float(w * s) for load, _, w in each for s in load.shares
+            ),
         )
 
     def target(self, q: int, reference, ground: Ground = FLAT) -> Target:
@@ -404,16 +405,16 @@ class Load:
             )
 
 
-def _joined(loads, name: str, fill) -> np.ndarray | None:
+def _joined(loads, name: str) -> np.ndarray | None:
     """Join an array of all loads, filled where missing; None if none has it."""
     parts = [getattr(load, name) for load in loads]
     if all(part is None for part in parts):
         return None
-    counts = [len(load.times) for load in loads]
+    fill = np.nan if name == "rotation" else 0.0
     return np.concatenate(
         [
-            np.broadcast_to(fill, (n, *np.shape(fill))) if p is None else p
-            for p, n in zip(parts, counts, strict=True)
+            np.full((len(load.times), *_SHAPES[name]), fill) if x is None else x
+            for load, x in zip(loads, parts, strict=True)
         ]
     )
 

@@ -246,7 +246,7 @@ def test_a_stage_goes_on_where_it_stands(case, monkeypatch):
     given, kept, said = {}, [], []
     n = 17
     monkeypatch.setattr(search, "settle", lambda problem, p: p)
-    monkeypatch.setattr(search, "_keep", lambda at, out: kept.append(at))
+    monkeypatch.setattr(Checkpoint, "write", lambda at, out: kept.append(at))
 
     def minimise(problem, p, bounds, iterations, tolerance, note, **more):
         given.update(more, p=p, bounds=bounds, left=iterations, tol=tolerance,

@@ -118,8 +118,13 @@ class Checkpoint:
                 "same case and limits"
             )
 
-    def write(self, folder: Path) -> None:
-        """Write checkpoint.json atomically; make its folder if need be."""
+    def write(self, folder: Path | None) -> None:
+        """Write checkpoint.json atomically; make its folder if need be.
+
+        None keeps nothing.
+        """
+        if folder is None:
+            return
         kept = vars(self) | {
             "coefficients": self.p,
             "curvature": self.curvature[np.tril_indices(len(self.p))],

@@ -119,9 +119,9 @@ def optimise(
     if resume is not None:  # an interruption may come before the next one
         for start, begun in enumerate(resume.begun):
             if begun is not None:
-                _keep(begun, start_folder(out, start))
+                begun.write(start_folder(out, start))
         if resume.p is not None:
-            _keep(resume, out)
+            resume.write(out)
     jobs = search_jobs(setup, out, resume, bends)
 
     def end(row: Ended) -> None:
@@ -280,7 +280,7 @@ def go_on(
         at = replace(best.at, starts=tuple(r.at.starts[-1] for r in racers))
         seconds = sum(racer.seconds for racer in racers)
         found = Found(best.optima, at, seconds, alone=best.alone)
-        _keep(at, out)
+        at.write(out)
         if out is not None:
             for racer in racers:
                 folder = start_folder(out, racer.start)
@@ -290,10 +290,10 @@ def go_on(
             setup, number, found.at, out, lambda line: say(prefix + line)
         )
         found = found.after(*ended)
-        _keep(found.at, out)
+        found.at.write(out)
     if is_alone:
         found.at = replace(found.at, alone=found.at.p)
-        _keep(found.at, out)
+        found.at.write(out)
     return found
 
 
@@ -402,7 +402,7 @@ def from_start(
         "cost_finer": best.cost_finer,
     }  # fmt: skip
     at = replace(at, starts=(*at.starts, row))
-    _keep(at, out)
+    at.write(out)
     return best, at
 
 
@@ -426,11 +426,6 @@ def start_design(problem: ShapeProblem, bounds, bend: int) -> np.ndarray:
         if np.isfinite(values).all() and values[:2].min() >= 0:
             return p
     return first_design(problem, bounds)
-
-
-def _keep(at: Checkpoint, out: Path | None) -> None:
-    if out is not None:
-        at.write(out)
 
 
 def strain_scale(problem: ShapeProblem, p: np.ndarray) -> float:
@@ -501,7 +496,7 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
         )
         if iteration and iteration % _CHECKPOINT_EVERY == 0:
             done = at.iteration + iteration
-            _keep(at.after(number, done, best, approximation.matrix), out)
+            at.after(number, done, best, approximation.matrix).write(out)
 
     left = max(block.stages[number].iterations - at.iteration, 0)
     best = minimise(
