@@ -31,6 +31,7 @@ from drake_exo.files.output import (
     FAILS,
     HOLDS,
     STYLE,
+    embedded,
     mark_of,
     read_json,
     replace_file,
@@ -380,12 +381,8 @@ def _links(batch: Batch) -> dict[str, str]:
 
 
 def _picture(path: Path, text: str) -> str:
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
-    text = html.escape(text)
-    return (
-        f'<figure><img alt="{text}" src="data:image/png;base64,{data}">'
-        f"<figcaption>{text}</figcaption></figure>"
-    )
+    caption = f"<figcaption>{html.escape(text)}</figcaption>"
+    return f"<figure>{embedded(path, text)}{caption}</figure>"
 
 
 def _data(rows: list[Row], replays: dict[str, str]) -> str:

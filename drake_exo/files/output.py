@@ -9,11 +9,13 @@ or not.
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import csv
 import dataclasses
 import fcntl
 import hashlib
+import html
 import io
 import json
 import math
@@ -690,6 +692,17 @@ def save_figure(path: Path, figure: Figure, mark: str = "") -> None:
         figure.savefig(
             path, metadata=metadata, bbox_inches="tight" if mark else None
         )
+
+
+def embedded(path: Path, text: str) -> str:
+    """HTML element that holds a PNG file, with a text for those who cannot see.
+
+    Args:
+        path: the picture's file.
+        text: what it shows.
+    """
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    return f'<img alt="{html.escape(text)}" src="data:image/png;base64,{data}">'
 
 
 def _draw_mark(figure: Figure, mark: str) -> None:

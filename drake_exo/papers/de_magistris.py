@@ -4,7 +4,6 @@ De Magistris, Miossec, Escande and Kheddar, Design of optimized soft soles for
 humanoid robots. Its Table 2 is compared with our optima.
 """
 
-import base64
 import html
 import time
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ from drake_exo.errors import check_data_root
 from drake_exo.files.output import (
     Check,
     Verdict,
+    embedded,
     joined_mark,
     read_json,
     save_figure,
@@ -496,13 +496,6 @@ padding: 0 1em}} img {{max-width: 100%}} pre {{white-space: pre-wrap}}
 def _write_page(out: Path, designs, figures, strains: str) -> None:
     """Write report.html: every table and picture in one file."""
 
-    def picture(path: Path) -> str:
-        data = base64.b64encode(path.read_bytes()).decode()
-        return (
-            f'<img alt="{html.escape(path.stem)}" '
-            f'src="data:image/png;base64,{data}">'
-        )
-
     def preformatted(text: str) -> str:
         return f"<pre>{html.escape(text)}</pre>"
 
@@ -510,7 +503,8 @@ def _write_page(out: Path, designs, figures, strains: str) -> None:
     if (out / "table.txt").is_file():
         body.append(preformatted((out / "table.txt").read_text("utf-8")))
     # Pictures of this run, and those that a study has left there.
-    body += [picture(out / f) for f in figures if (out / f).is_file()]
+    files = [out / name for name in figures]
+    body += [embedded(file, file.stem) for file in files if file.is_file()]
     if strains:
         body += ["<h2>Heel strike in finite strain</h2>", preformatted(strains)]
     for design in designs:
@@ -522,7 +516,7 @@ def _write_page(out: Path, designs, figures, strains: str) -> None:
         found = stored(row)
         body += [preformatted(found.text())] if found else []
         drawing = design.folder / "drawing.png"
-        body += [picture(drawing)] if drawing.is_file() else []
+        body += [embedded(drawing, "drawing")] if drawing.is_file() else []
     title = ", ".join(design.name for design in designs)
     page = _PAGE.format(
         title=html.escape(f"Soles: {title}"), body="\n".join(body)
@@ -549,14 +543,12 @@ def _stiffness(designs: list[StoredDesign]):
     """Figure of the designs' stiffness, see `pictures.stiffness_figure`."""
     from drake_exo.soles import pictures
 
-    keys = ("time_s", "sigma_max_tr_n_per_m", "sigma_min_rot_nm_per_rad")
     files = {"initial": "initial_steps.csv", "optimised": "steps.csv"}
+    time = ("time_s",)
+    needed = (*time, *pictures.STIFFNESS)
     soles = {
         design.name: {
-            label: tuple(
-                read_columns(design.folder / file, keys, keys[:1])[k]
-                for k in keys
-            )
+            label: read_columns(design.folder / file, needed, time)
             for label, file in files.items()
         }
         for design in designs

@@ -107,6 +107,7 @@ _HEAD, _FOOT = 0.4, 0.75  # inches above and below the soles
 _LEAST_ERROR = 1e-8  # smaller errors are drawn as this
 _INCH = 1.0 / 62.0  # inches for a millimetre of sole
 _AXES = {"x": COLOURS[1], "y": COLOURS[2], "z": COLOURS[0]}
+STIFFNESS = "sigma_max_tr_n_per_m", "sigma_min_rot_nm_per_rad"
 
 
 def style():
@@ -207,13 +208,13 @@ def _columns(count: int, height: float, **shared):
 
 @style()
 def stiffness_figure(
-    soles: Mapping[str, Mapping[str, tuple]], strikes: Sequence[tuple[int, int]]
+    soles: Mapping[str, Mapping[str, dict]], strikes: Sequence[tuple[int, int]]
 ):
     """σ_max(K_tr) and σ_min(K_rot) over the step, a column a sole (Fig. 13).
 
     Args:
-        soles: By name and label (times [s], σ_max [N/m], σ_min [N·m/rad]),
-            each (N,); the label "initial" is drawn in the background.
+        soles: By name and label the columns of `Step.table`, each (N,); the
+            label "initial" is drawn in the background.
         strikes: Index of heel strike's first sample, and of the next after it,
             of every load.
     """
@@ -221,17 +222,16 @@ def stiffness_figure(
     figure, axes = _columns(len(soles), 5.4, sharex=True, sharey="row")
     for column, (name, curves) in enumerate(soles.items()):
         own = [label for label in curves if label != "initial"]
-        for label, (times, *both) in curves.items():
+        for label, columns in curves.items():
             look = {"color": "0.45", "ls": "--"}
             if label != "initial":
                 k = column + own.index(label)
                 look = {"color": COLOURS[k % len(COLOURS)]}
-            t = times - times[0]
-            for axis, values, scale in zip(
-                axes[:, column], both, (1e-3, 1.0), strict=True
-            ):
-                _over_time(axis, begins, t, scale * values,
-                           label=_as_written(label), **look)  # fmt: skip
+            t = columns["time_s"] - columns["time_s"][0]
+            look["label"] = _as_written(label)
+            tr, rot = (columns[key] for key in STIFFNESS)
+            _over_time(axes[0, column], begins, t, 1e-3 * tr, **look)
+            _over_time(axes[1, column], begins, t, rot, **look)
         for axis in axes[:, column]:
             for k, (first, end) in enumerate(strikes):
                 axis.axvspan(
@@ -577,7 +577,7 @@ def drawing_figure(mesh: TetMesh, name: str, peak: np.ndarray) -> Figure:
         above.plot([x, x], [low[1] - 3, high[1] + 3], "k-.", lw=0.7)
         above.text(x, high[1] + 4, letter, ha="center", va="bottom")
     for axis, view in (
-        (below, View("from below", (0, 0, -1), (0, -1, 0))),
+        (below, VIEWS[0]),
         (side, View("right side", (0, -1, 0))),
     ):
         _shaded(axis, mesh, view, view.name)

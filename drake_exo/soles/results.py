@@ -613,12 +613,9 @@ class Step:
         for name, step in beside.items():
             check_type(step, Step, name)
         steps = beside | {label or self.setup.name: self}
-        curves = {
-            label: (s.times, s.sigma_max_translation, s.sigma_min_rotation)
-            for label, s in steps.items()
-        }
+        tables = {label: step.table() for label, step in steps.items()}
         return pictures.stiffness_figure(
-            {self.setup.name: curves}, strikes(self.setup)
+            {self.setup.name: tables}, strikes(self.setup)
         )
 
     def write_animation(

@@ -260,7 +260,7 @@ def test_stiffness_is_drawn_of_both_shapes_up_to_heel_strike(
     assert list(soles) == ["a", "b"]
     for k, name in enumerate("ab"):
         for label, size in (("initial", 1.0), ("optimised", 2.0)):
-            time, tr, rot = soles[name][label]
+            time, tr, rot = (soles[name][label][k] for k in keys.split(","))
             np.testing.assert_array_equal(time, [0.0, 1.0, 2.0])
             np.testing.assert_array_equal(tr, size + k)
             np.testing.assert_array_equal(rot, 10 * size + time)

@@ -203,7 +203,8 @@ def test_uneven_ground_is_drawn_under_the_sole(mesh):
 
 def test_heel_strike_is_shaded_in_the_stiffness():
     t = np.array([0.3, 0.4, 0.6, 0.9])
-    curve = (t, 1e4 + t, 10 + t)
+    values = zip(pictures.STIFFNESS, (1e4 + t, 10 + t), strict=True)
+    curve = {"time_s": t, **dict(values)}
     soles = {name: {"one": curve} for name in ("first", "second")}
     axes = pictures.stiffness_figure(soles, [(0, 3)]).axes
     for axis in axes:

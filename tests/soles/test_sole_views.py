@@ -80,7 +80,11 @@ def test_stiffness_of_each_sole_has_room():
     """Kilonewtons a metre since contact; columns as wide for two as for six."""
     t = np.array([0.3, 0.4, 0.6])
     tr, rot = np.array([4e4, 9e4, 7e4]), np.array([30.0, 80.0, 50.0])
-    curves = {"initial": (t, tr, rot), "optimised": (t, 2 * tr, 3 * rot)}
+    names = ("time_s", *pictures.STIFFNESS)
+    curves = {
+        "initial": dict(zip(names, (t, tr, rot), strict=True)),
+        "optimised": dict(zip(names, (t, 2 * tr, 3 * rot), strict=True)),
+    }
     for count in (1, 2, 6):
         figure = pictures.stiffness_figure(
             {f"sole {k}": curves for k in range(count)}, strikes=[(0, 2)]
