@@ -32,25 +32,20 @@ class ActiveSet:
 
     Attributes:
         nodes: Active contact nodes, in the order of S's blocks, (k,).
+        S: C_AA⁻¹ [N/m], (3k, 3k).
     """
 
     def __init__(self, C: np.ndarray):
         self._C = C
         self.nodes = np.zeros(0, dtype=np.int64)
-        self._S = np.zeros((0, 0))
+        self.S = np.zeros((0, 0))
         self._updates = 0
-
-    @property
-    def S(self) -> np.ndarray:
-        """C_AA⁻¹ [N/m], (3k, 3k)."""
-        return self._S[: 3 * len(self.nodes), : 3 * len(self.nodes)]
 
     def refresh(self) -> None:
         """Invert C_AA from scratch."""
-        n = 3 * len(self.nodes)
-        self._reserve(n)
         self._updates = 0
-        if n == 0:
+        if len(self.nodes) == 0:
+            self.S = np.zeros((0, 0))
             return
         own = node_dofs(self.nodes)
         A = self._C[np.ix_(own, own)].T
@@ -58,7 +53,7 @@ class ActiveSet:
         inverse, info2 = dpotri(factor, lower=1, overwrite_c=1)
         if info or info2:
             raise np.linalg.LinAlgError("compliance is not positive definite")
-        self._S[:n, :n] = mirrored(inverse)
+        self.S = mirrored(inverse).T  # symmetric: now its rows are contiguous
 
     def update(self, wanted: np.ndarray) -> None:
         """Make `wanted` (contact nodes, any order) the active set."""
@@ -81,48 +76,32 @@ class ActiveSet:
         if len(add):
             self._append(add)
 
-    def _reserve(self, n: int) -> None:
-        if n > len(self._S):
-            size = min(len(self._C), n + 90)
-            old = self._S
-            self._S = np.zeros((size, size))
-            self._S[: len(old), : len(old)] = old
-
     def _remove(self, places: np.ndarray) -> None:
         """Remove nodes at `places`: moved to the end, S11 − S12 S22⁻¹ S21."""
         k = len(self.nodes)
         tail = np.arange(k - len(places), k)
         movers = np.setdiff1d(tail, places)
         holes = np.setdiff1d(places, tail)
-        S = self.S
-        a, b = node_dofs(holes), node_dofs(movers)
-        S[np.concatenate([a, b])] = S[np.concatenate([b, a])]
-        S[:, np.concatenate([a, b])] = S[:, np.concatenate([b, a])]
-        self.nodes[holes], self.nodes[movers] = (
-            self.nodes[movers],
-            self.nodes[holes].copy(),
-        )
+        there, back = np.hstack([holes, movers]), np.hstack([movers, holes])
+        a, b, S = node_dofs(there), node_dofs(back), self.S
+        S[a] = S[b]
+        S[:, a] = S[:, b]
+        self.nodes[there] = self.nodes[back]
         n = 3 * (k - len(places))
         V = S[:n, n:].copy()
-        S[:n, :n] -= V @ np.linalg.solve(S[n:, n:], V.T)
+        self.S = S[:n, :n] - V @ np.linalg.solve(S[n:, n:], V.T)
         self.nodes = self.nodes[: k - len(places)].copy()
 
     def _append(self, new: np.ndarray) -> None:
         """Append nodes: S becomes the inverse of [[C_AA, B], [Bᵀ, C_aa]]."""
-        n, k = 3 * len(self.nodes), 3 * len(new)
         own, more = node_dofs(self.nodes), node_dofs(new)
         B = self._C[np.ix_(own, more)]
         V = self.S @ B
         corner = self._C[np.ix_(more, more)] - B.T @ V
         T = np.linalg.inv(0.5 * (corner + corner.T))
         self.nodes = np.concatenate([self.nodes, new])
-        self._reserve(n + k)
-        S = self.S
         VT = V @ T
-        S[:n, :n] += VT @ V.T
-        S[:n, n:] = -VT
-        S[n:, :n] = -VT.T
-        S[n:, n:] = T
+        self.S = np.block([[self.S + VT @ V.T, -VT], [-VT.T, T]])
 
 
 @dataclass(frozen=True)
