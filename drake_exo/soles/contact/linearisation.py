@@ -182,7 +182,7 @@ class Linearisation:
         Returns:
             dF and dδ of nodes, world, (k, 3, 6); [dF; dΓ] about the ZMP (6, 6).
         """
-        T = self._S_times(self._against_pose(turn))
+        T = self._S_times_pose(turn)
         turned = self._law_turned(turn)
         both = self._respond(T, np.zeros_like(T), turned=turned)
         world = [self.R @ x.reshape(len(self.nodes), 3, -1) for x in both]
@@ -223,20 +223,14 @@ class Linearisation:
         """Rᵀ hat(F), (3k, 3)."""
         return self._hats(self.F)
 
-    def _against_pose(self, turn) -> np.ndarray:
-        """−D_p without its part in F, (3k, 6)."""
-        if turn is None:
-            return self._arms
-        out = self._arms.copy()
-        out[:, 3:] += self._to_sole(turn.places)
-        return out
-
-    def _S_times(self, columns: np.ndarray) -> np.ndarray:
-        """S times columns that end with −D_p, given as `_against_pose`.
-
-        D_p's part in F needs no product: S W hat(F) = hat(F).
-        """
-        T = self.S @ columns
+    def _S_times_pose(self, turn, *first: np.ndarray) -> np.ndarray:
+        """S times columns `first` (3k, c) each and −D_p, (3k, c + 6)."""
+        pose = self._arms
+        if turn is not None:
+            pose = pose.copy()
+            pose[:, 3:] += self._to_sole(turn.places)
+        T = self.S @ np.concatenate((*first, pose), axis=1)
+        # D_p's part in F needs no product: S W hat(F) = hat(F).
         T[:, -3:] -= self._turned
         return T
 
@@ -260,9 +254,8 @@ class Linearisation:
         if not len(asked):
             dF, _ = self._respond(self.S @ offset, offset, phi_g)
             return dF.reshape(-1, 3) @ self.R.T, dp
-        pose = self._against_pose(turn)
         # One product with S, one solution for offset and pose together.
-        T = self._S_times(np.concatenate((offset, pose), axis=1))
+        T = self._S_times_pose(turn, offset)
         known = np.zeros_like(T)
         known[:, :1] = offset
         dF, dP = self._respond(T, known, phi_g, self._law_turned(turn))
