@@ -264,11 +264,6 @@ class Material:
         nu = self.poissons_ratio
         return self.youngs_modulus_pa * nu / ((1 + nu) * (1 - 2 * nu))
 
-    @property
-    def confined_modulus(self) -> float:
-        """Stress over strain where no side can bulge, λ + 2 μ [Pa]."""
-        return self.lame_lambda + 2 * self.shear_modulus
-
 
 # Young's moduli of the paper's Table 1; butyl's density from its v_max of
 # 1098 cm³ for 1 kg.
@@ -479,20 +474,16 @@ class Sole:
         return u.reshape(*lead, *u.shape[1:])
 
     def strain(self, u: np.ndarray) -> np.ndarray:
-        """Small strain of every element, (..., e, 3, 3).
+        """Small strain of every element, (e, 3, 3), in displacements u (n, 3).
 
-        With "smoothed", averaged around every node, (..., n, 3, 3): a single
+        With "smoothed", averaged around every node, (n, 3, 3): a single
         element's strain has no energy of its own, and scatters.
         """
-        H = np.einsum(
-            "...eai,eaj->...eij", u[..., self.mesh.tets, :], self.mesh.gradients
-        )
-        eps = 0.5 * (H + np.swapaxes(H, -1, -2))
+        H = np.einsum("eai,eaj->eij", u[self.mesh.tets], self.mesh.gradients)
+        eps = 0.5 * (H + np.swapaxes(H, 1, 2))
         if self.element == "linear":
             return eps
-        flat = np.moveaxis(eps, -3, 0)
-        mean = self.node_average @ flat.reshape(len(flat), -1)
-        return np.moveaxis(mean.reshape(-1, *flat.shape[1:]), 0, -3)
+        return (self.node_average @ eps.reshape(-1, 9)).reshape(-1, 3, 3)
 
     @cached_property
     def node_average(self) -> csr_matrix:

@@ -12,11 +12,7 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
-from drake_exo.files.schema import (
-    exactly_one,
-    positive,
-    quantity,
-)
+from drake_exo.files.schema import exactly_one, positive, quantity
 from drake_exo.files.tables import between, missing_column
 from drake_exo.soles.loads import (
     MOST_SAMPLES,

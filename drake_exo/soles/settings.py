@@ -14,12 +14,7 @@ import numpy as np
 from drake_exo.errors import InputError, check_data_root, check_type, path_of
 from drake_exo.files import schema
 from drake_exo.files.output import checksum
-from drake_exo.files.schema import (
-    exactly_one,
-    not_negative,
-    positive,
-    quantity,
-)
+from drake_exo.files.schema import exactly_one, not_negative, positive, quantity
 from drake_exo.soles.contact.law import COLUMNS, FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.elasticity import MATERIALS, Material, Sole
@@ -360,7 +355,7 @@ class Settings:
         if replacement is None and block.brick is not None:
             return brick(block.brick.size_m, block.brick.divisions)
         path = path_of(replacement or root / block.file, "mesh_file")
-        origin = None if block.file is None else block.origin_m
+        origin = block.origin_m
         if replacement is not None and origin is not None:
             origin = (0.0, 0.0, 0.0)  # as sole.vtk, in the sole's frame
         if path.suffix.lower() not in SUFFIXES:
@@ -470,7 +465,9 @@ class Setup:
         self.load.check_inside(self.level)
         self.load.check_friction(self.settings.contact.friction, self.up)
         area = float(np.ptp(self.mesh.nodes[:, :2], axis=0).prod())
-        stiff = self.settings.material.material().confined_modulus
+        material = self.settings.material.material()
+        # Stress over strain where no side can bulge.
+        stiff = material.lame_lambda + 2 * material.shear_modulus
         self.load.check_pressed(stiff * area)
 
     @property

@@ -16,11 +16,7 @@ from scipy.sparse import csr_matrix, diags, identity
 from drake_exo.errors import InputError
 from drake_exo.soles.contact.newton import ContactSolver
 from drake_exo.soles.loads import Load
-from drake_exo.soles.mesh import (
-    SphericalSpline,
-    TetMesh,
-    face_edges,
-)
+from drake_exo.soles.mesh import SphericalSpline, TetMesh, face_edges
 from drake_exo.soles.optimize.adjoint import gradients, singular_terms
 from drake_exo.soles.optimize.limits import (
     Evaluation,
