@@ -494,7 +494,7 @@ def compare_strains(
     sole = Sole(mesh, setup.settings.material.material(), "linear")
     load, start = setup.load, setup.start
     cost = setup.settings.cost
-    by_tr, _ = sample_weights(load, cost.heel_strike_fraction)
+    *_, by_tr, _ = sample_weights(load, cost.heel_strike_fraction)
     rows = np.flatnonzero(by_tr)
     strike, weights = load.at(rows), by_tr[rows]
     count = len(strike.times)

@@ -403,7 +403,7 @@ class Step:
 
     def _sums(self, rows) -> tuple[float, float]:
         fraction = self.setup.settings.cost.heel_strike_fraction
-        by_tr, by_rot = sample_weights(self.setup.load, fraction)
+        *_, by_tr, by_rot = sample_weights(self.setup.load, fraction)
         early = rows & (by_tr > 0)
         return (
             float(by_tr[early] @ self.sigma_max_translation[early]),

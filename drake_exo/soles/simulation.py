@@ -71,16 +71,53 @@ def heel_strike_count(samples: int, fraction: float = 0.1) -> int:
 
 
 def sample_weights(
-    load, fraction: float = 0.1
-) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of a load's samples in c_tr and c_rot, (N,) each.
+    load: Load, fraction: float, samples: int | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Samples of a load, how many each stands for, weights in c_tr and c_rot.
 
     Of one contact phase c_tr is the sum over heel strike (the first `fraction`
     of samples), c_rot over all; of several, the weighted mean of their sums.
+    Every phase is `thinned` to as many `samples`. Arrays (k,).
     """
-    counts, share = np.bincount(load.phase), load.shares[load.phase]
-    early = [np.arange(n) < heel_strike_count(n, fraction) for n in counts]
-    return np.concatenate(early) * share, share
+    parts = []
+    for phase in load.phases:
+        picked, *factors = thinned(phase.stop - phase.start, samples, fraction)
+        parts.append((picked + phase.start, *factors))
+    picked, strike, count = map(np.concatenate, zip(*parts, strict=True))
+    share = load.shares[load.phase[picked]]
+    return picked, count, share * strike, share * count
+
+
+def thinned(total: int, samples: int | None, fraction: float):
+    """Samples of a phase to simulate, weights in c_tr and c_rot, (k,) each.
+
+    A third of them is in heel strike, where stiffness changes most from sample
+    to sample (more if the rest has too few). Weights take stiffness as linear
+    in time between two of them. None simulates all.
+    """
+    strike = heel_strike_count(total, fraction)
+    count = min(samples or total, total)
+    early = max(round(count / 3), 4, count - (total - strike))
+    early = min(strike, early)
+    late = min(total - strike, max(2, count - early))
+    parts = [
+        _evenly(first, last, number)
+        for first, last, number in ((0, strike, early), (strike, total, late))
+    ]
+    picked, by_rot = map(np.concatenate, zip(*parts, strict=True))
+    return picked, np.where(picked < strike, by_rot, 0.0), by_rot
+
+
+def _evenly(first: int, last: int, number: int):
+    """About evenly spaced samples of a range; how many each stands for."""
+    every = np.arange(first, last)
+    if number == len(every):
+        return every, np.ones(number)
+    picked = np.linspace(first, last - 1, number).round().astype(int)
+    hats = np.eye(number)
+    return picked, np.array(
+        [np.interp(every, picked, hat).sum() for hat in hats]
+    )
 
 
 _MAX_TILT = np.deg2rad(80.0)  # from the ground's normal: beyond, tipped over

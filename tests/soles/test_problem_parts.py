@@ -7,7 +7,8 @@ from drake_exo.soles.loads import Load
 from drake_exo.soles.mesh import SphericalSpline, brick
 from drake_exo.soles.optimize.limits import soft_minimum
 from drake_exo.soles.optimize.optimizer import Optimum, QuasiNewton, _Callbacks
-from drake_exo.soles.optimize.problem import bends, sample_weights, thinned
+from drake_exo.soles.optimize.problem import bends
+from drake_exo.soles.simulation import sample_weights, thinned
 
 
 def _load(count):
@@ -17,11 +18,12 @@ def _load(count):
 
 def test_samples_of_several_loads_are_thinned_each():
     load = Load.one_after_another([_load(50), _load(20)], [1.0, 1.0])
-    picked, by_tr, by_rot = sample_weights(load, 10, 0.1)
+    picked, counts, by_tr, by_rot = sample_weights(load, 0.1, 10)
     first = picked < 50
     for mine, total, strike in ((first, 50, 5), (~first, 20, 2)):
-        assert by_rot[mine].sum() == pytest.approx(total)
-        assert by_tr[mine].sum() == pytest.approx(strike)
+        assert counts[mine].sum() == pytest.approx(total)
+        assert by_rot[mine].sum() == pytest.approx(total / 2)
+        assert by_tr[mine].sum() == pytest.approx(strike / 2)
     assert load.at(picked).begins == (0, int(first.sum()))
     assert picked[~first].min() == 50 and picked.max() == 69
 

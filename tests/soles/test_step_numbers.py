@@ -115,7 +115,9 @@ def test_several_steps_weigh_by_their_shares():
         Constant((0.0, 0.0, 400.0), (0, 0), n).load() for n in (20, 30)
     )
     load = Load.one_after_another([first, second], [1.0, 3.0])
-    by_tr, by_rot = simulation.sample_weights(load)
+    picked, counts, by_tr, by_rot = simulation.sample_weights(load, 0.1)
+    np.testing.assert_array_equal(picked, np.arange(50))
+    np.testing.assert_array_equal(counts, 1.0)
     np.testing.assert_allclose(by_rot, [0.25] * 20 + [0.75] * 30)
     strike = [0.25] * 2 + [0.0] * 18 + [0.75] * 3 + [0.0] * 27
     np.testing.assert_allclose(by_tr, strike)

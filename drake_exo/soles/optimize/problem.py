@@ -28,7 +28,7 @@ from drake_exo.soles.optimize.limits import (
 from drake_exo.soles.results import Step
 from drake_exo.soles.settings import Setup, Stage, finer_mesh, stage_mesh
 from drake_exo.soles.simulation import (
-    heel_strike_count,
+    sample_weights,
     sigma_max_translation,
     sigma_min_rotation,
     simulate,
@@ -89,13 +89,10 @@ class ShapeProblem:
         self.law = replace(
             setup.law(self._sole), layer=stage.layer_m, kappa=stage.kappa
         )
-        self.picked, by_tr, by_rot = sample_weights(
-            self.load, stage.samples, cost.heel_strike_fraction
+        self.picked, self.counts, self.by_tr, self.by_rot = sample_weights(
+            self.load, cost.heel_strike_fraction, stage.samples
         )
         self.thinned = self.load.at(self.picked)
-        self.counts = by_rot
-        share = self.load.shares[self.thinned.phase]
-        self.by_tr, self.by_rot = share * by_tr, share * by_rot
         bend = bends(mesh) / _BEND
         self._bends = bend @ grid.M, bend @ grid.s0
         moving = (grid.M != 0).any(axis=1)
@@ -397,48 +394,6 @@ class _Grid:
     def by_coefficients(self, X: np.ndarray) -> np.ndarray:
         """Chain rule from node positions (n, 3) to coefficients (k,)."""
         return self.M.T @ (X * self.mesh.nodes).sum(axis=1)
-
-
-def sample_weights(load: Load, samples: int | None, fraction: float):
-    """Samples of all phases to simulate, weights in c_tr and c_rot, (k,) each.
-
-    See `thinned`, which is applied to every phase.
-    """
-    parts = []
-    for phase in load.phases:
-        picked, *factors = thinned(phase.stop - phase.start, samples, fraction)
-        parts.append((picked + phase.start, *factors))
-    return tuple(map(np.concatenate, zip(*parts, strict=True)))
-
-
-def thinned(total: int, samples: int | None, fraction: float):
-    """Samples of a phase to simulate, weights in c_tr and c_rot, (k,) each.
-
-    A third of them is in heel strike, where stiffness changes most from sample
-    to sample (more if the rest has too few). Weights take stiffness as linear
-    in time between two of them.
-    """
-    strike = heel_strike_count(total, fraction)
-    count = min(samples or total, total)
-    early = max(round(count / 3), 4, count - (total - strike))
-    early = min(strike, early)
-    late = min(total - strike, max(2, count - early))
-    parts = [
-        _evenly(first, last, number)
-        for first, last, number in ((0, strike, early), (strike, total, late))
-    ]
-    picked, by_rot = map(np.concatenate, zip(*parts, strict=True))
-    return picked, np.where(picked < strike, by_rot, 0.0), by_rot
-
-
-def _evenly(first: int, last: int, number: int):
-    """About evenly spaced samples of a range; how many each stands for."""
-    picked = np.linspace(first, last - 1, number).round().astype(int)
-    hats = np.eye(number)
-    every = np.arange(first, last)
-    return picked, np.array(
-        [np.interp(every, picked, hat).sum() for hat in hats]
-    )
 
 
 def bends(mesh: TetMesh) -> csr_matrix:
