@@ -726,7 +726,7 @@ class Calibration(_Solved):
                 for p in found.parameters
             ],
             "rmsd": self._rmsd(found),
-            "measured_sd": audit.spread(problem.trials, problem.tree),
+            "measured_sd": audit.spread(self._measured, problem.tree),
             **(verdict or self.verdict()).summary(),
             "audit": [a.summary() for a in self._audits],
             "clocks": [c.summary() for c in clocks],

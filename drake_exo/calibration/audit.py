@@ -6,6 +6,7 @@ through the nodes), and the motion is simulated in the Diagram, whose integrator
 does not use the grid. `rmsd` and `spread` compare solution and measurements.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -392,7 +393,7 @@ def rmsd(found: Trial, measured: Trial, loads: bool = True) -> dict:
     }
 
 
-def spread(trials: list[Trial], tree: PlanarTree) -> dict:
+def spread(trials: Sequence[Trial], tree: PlanarTree) -> dict:
     """Standard deviation over the measured trials, time-normalised.
 
     The standard deviation at each percent of the movement, averaged over the
@@ -401,7 +402,7 @@ def spread(trials: list[Trial], tree: PlanarTree) -> dict:
     pressure: relative to its own foot, at times when all trials load that foot.
 
     Args:
-        trials: measured.
+        trials: measured, on the clocks that were found.
         tree: the model's.
     """
     names = trials[0].coordinates

@@ -354,6 +354,8 @@ def _summary(
         failed.append(str(refused))
     elif len(solves) < len(trials):
         failed.append(STOPPED_BY_USER)
+    # On the clocks that were found, as the RMSD.
+    timed = [p.timed(t) for p, t in zip(found, trials, strict=False)]
     total = {
         key: sum(s[key] for s in solves)
         for key in (
@@ -378,7 +380,9 @@ def _summary(
         "rmsd": [
             p.rmsd(t) for p, t in zip(found, trials, strict=False) if p.success
         ],
-        "measured_sd": spread(trials, study.model.tree),
+        "measured_sd": spread(
+            [*timed, *trials[len(timed) :]], study.model.tree
+        ),
         "starts_from": (
             "a state of their own, which ends them with legs exchanged"
             if study.prediction.ends == "periodic"

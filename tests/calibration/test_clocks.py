@@ -8,7 +8,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 from undrawn import undrawn
 
-from drake_exo.calibration.audit import rmsd
+from drake_exo.calibration.audit import rmsd, spread
 from drake_exo.calibration.clocks import (
     Clock,
     Timing,
@@ -21,11 +21,13 @@ from drake_exo.calibration.clocks import (
 from drake_exo.calibration.error_model import NO_ERRORS, ErrorModel, ErrorSizes
 from drake_exo.calibration.results import (
     Origin,
+    phase_summary,
     read_calibration,
     read_trial,
 )
 from drake_exo.calibration.settings import Solver
 from drake_exo.calibration.uncertainty import QUANTILE_95
+from drake_exo.cli.predict import _summary
 from drake_exo.contact.parameters import Posterior
 from drake_exo.contact.reduction import SoleLaw, SoleSphere
 from drake_exo.files.output import Verdict
@@ -226,6 +228,35 @@ def test_a_prediction_is_compared_on_the_clock_that_was_found(
     assert found.timed(trial) is trial  # nothing was recorded of its clocks
     other = replace(shown, name="another")
     assert found.timed(other).provenance == other.provenance
+
+
+def test_signals_are_spread_on_the_clocks_that_were_found(
+    predicted, regular, in_device
+):
+    """Trials that differ by nothing but their clocks do not spread."""
+    (own,) = predicted.trials
+    values = {f.name: getattr(own, f.name) for f in fields(own)}
+    shown, found = [], []
+    for name, lag in (("early", -0.03), ("late", 0.03)):
+        trial = recorded(late(in_device.trials[0], encoders=lag))
+        shown.append(replace(trial, name=name))
+        clocks = (Clock(name, "encoders", lag, 0.004),)
+        named = values | {"name": name, "result": predicted, "clocks": clocks}
+        found.append(Prediction(**named))
+    study = Study(in_device.model, shown)
+    spreads = (
+        _summary(study, of, shown, None)["measured_sd"]["angles_deg"]
+        for of in (found, [])
+    )
+    known, raw = (sd["exo_knee"] for sd in spreads)
+    assert raw > 1.0 > 3.0 * known
+    # Phase B's: of the trials that it is compared with.
+    moved = [
+        late(t, pressure=lag)
+        for t, lag in zip(in_device.trials, (-0.03, 0.0, 0.03), strict=True)
+    ]
+    summary = phase_summary("interaction", "me", regular, moved)
+    assert summary["measured_sd"] == spread(moved, in_device.model.tree)
 
 
 def test_a_clock_is_sure_if_it_is_known_to_ten_milliseconds():
