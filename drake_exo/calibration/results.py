@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -113,6 +113,11 @@ class Origin:
             verdict.word,
             tuple(dict.fromkeys(c.name for c in verdict.failing)),
         )
+
+
+def _frames(trials: Iterable[Trial]) -> set[bytes]:
+    """Plates' forces in each loaded frame, however trials are cut."""
+    return {f.tobytes() for t in trials for f in t.ground.force if f.any()}
 
 
 def _checksum_of(trial: Trial) -> str:
@@ -285,13 +290,22 @@ class StoredCalibration:
             ),
             check(
                 "unseen",
-                # By the data, since the same trial may have another name.
+                # By the data, since the same trial may have another name, or
+                # be cut elsewhere from the same recording.
                 not {_checksum_of(t) for t in trials}
-                & set(made_of.data.values()),
+                & set(made_of.data.values())
+                and not _frames(trials) & _frames(self._measured),
                 "it was calibrated on trials that it is to predict",
                 "note",
             ),
         ]
+
+    @property
+    def _measured(self) -> list[Trial]:
+        """What it was calibrated on, as far as it lies beside it."""
+        names = [f"measured_{name}" for name in self.origin.data]
+        here = [n for n in names if (self.folder / f"{n}.npz").is_file()]
+        return [Trial.load(self.folder / n) for n in here]
 
     @property
     def own_check(self) -> Check:

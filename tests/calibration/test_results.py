@@ -23,6 +23,7 @@ from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_plates
 from drake_exo.files.output import Check, Verdict, read_json
 from drake_exo.measurement.sagittal import PlanarWrench
+from drake_exo.measurement.trial import Trial
 
 
 @pytest.fixture
@@ -221,3 +222,27 @@ def test_a_calibration_of_another_is_told(in_device, tmp_path):
     assert note.level == "note"
     moved = replace(own[0], q=own[0].q + 0.01)
     assert _failing(found, in_device, of=[moved]) == []
+
+
+def test_a_part_of_a_calibration_trial_is_not_unseen(in_device, tmp_path):
+    """Cut elsewhere from one recording; what both see unloaded is no part."""
+    found = _stored(in_device, tmp_path)
+    seen = in_device.trials[0]
+    part, other = (
+        Trial(
+            "part",
+            seen.coordinates,
+            seen.times[:-20],
+            *(x[20:] for x in (seen.q, seen.v, seen.a)),
+            PlanarWrench.of(force),
+        )
+        for force in (seen.ground.array[20:], 1.01 * seen.ground.array[20:])
+    )
+    assert _failing(found, in_device, of=[part]) == []  # as nobody can tell
+    force = np.vstack([np.zeros((1, 3)), seen.ground.array[1:]])
+    replace(seen, ground=PlanarWrench.of(force)).save(
+        tmp_path / f"measured_{seen.name}"
+    )
+    assert _failing(found, in_device, of=[part]) == ["provenance.unseen"]
+    idle = replace(other, ground=PlanarWrench.of(0.0 * other.ground.array))
+    assert _failing(found, in_device, of=[other, idle]) == []
