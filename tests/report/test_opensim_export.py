@@ -460,6 +460,35 @@ def test_ground_forces_are_each_foots(case):
 
 
 @pytest.mark.parametrize("kind", ["alone", "two legs"])
+def test_chair_and_loads_are_among_the_forces(case, kind):
+    """Without them OpenSim's inverse dynamics would miss a carried box."""
+    one, n = case(kind), 9
+    chair = PlanarWrench(np.full((n, 2), 300.0), np.full(n, 12.0))
+    box = PlanarWrench(np.full((n, 2), [5.0, -100.0]), np.full(n, 40.0))
+    trial = replace(one.trial, chair=chair, applied={"pelvis": box})
+    if kind == "two legs":
+        trial = replace(trial, chair=None, applied={"foot_left": box})
+    trial.save(one.folder / "solution_a")
+    done = one.export()
+    table = read_table(done.files[2])
+    body = next(iter(trial.applied))
+    assert f"act on the {body} by ground_force_{body}" in done.lines[-1]
+    at = {
+        name: table.column(f"ground_{name.format(body)}")
+        for name in ("force_{}_vx", "force_{}_vy", "force_{}_px", "torque_{}_z")
+    }
+    own = trial.borne()
+    force = sum(w.force for _, w in own)
+    np.testing.assert_allclose(at["force_{}_vx"], force[:, 0])
+    np.testing.assert_allclose(at["force_{}_vy"], force[:, 1])
+    moment = at["force_{}_px"] * at["force_{}_vy"] + at["torque_{}_z"]
+    np.testing.assert_allclose(moment, -sum(w.moment for _, w in own))
+    # A foot's own stay the ground's.
+    share = 1.0 if kind == "two legs" else 0.5
+    assert table.column("ground_force_l_vy") == pytest.approx(share * 700.0)
+
+
+@pytest.mark.parametrize("kind", ["alone", "two legs"])
 def test_ground_forces_act_where_the_feet_are(case, kind):
     """On the midline they would bend the hips sideways."""
     one = case(kind)
