@@ -48,8 +48,15 @@ _NO_ROOM = (
 )
 
 
-# Errors of an impossible path: too long a name, a link to itself.
-_NO_PATH = errno.ENAMETOOLONG, errno.ELOOP
+# Errors of an impossible path: too long a name, a link to itself, a file for a
+# folder, a folder for a file.
+_NO_PATH = (
+    errno.ENAMETOOLONG,
+    errno.ELOOP,
+    errno.EEXIST,
+    errno.ENOTDIR,
+    errno.EISDIR,
+)
 
 
 def count(text: str) -> int:
