@@ -80,7 +80,11 @@ def test_a_batch_that_is_done_loads_little(tmp_path):
         (OSError(errno.ENOSPC, "No space"), 2, "results: cannot be written"),
         (OSError(errno.EROFS, "Read-only", "x/y"), 2, "x/y: cannot be written"),
         (OSError(errno.ENAMETOOLONG, "Too long", "x"), 2, "x: Too long; give"),
-        (FileExistsError(errno.EEXIST, "Is there", "x"), 2, "x: Is there; give"),
+        (
+            FileExistsError(errno.EEXIST, "Is there", "x"),
+            2,
+            "x: Is there; give",
+        ),
         (OSError(errno.ENOTDIR, "No folder", "x"), 2, "x: No folder; give"),
         (OSError(errno.EISDIR, "A folder", "x"), 2, "x: A folder; give"),
         (KeyboardInterrupt(), 130, "interrupted"),

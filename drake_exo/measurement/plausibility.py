@@ -70,6 +70,7 @@ LIMITS: dict[str, tuple[float, str, str]] = {
     "belt": (0.3, "m/s", "markers"),
     "end": (0.15, "m/s", "forces"),
     "end_joints": (30.0, "deg/s", "markers"),
+    "overlap": (0.0, "s", "markers"),
     "leg_angles": (15.0, "deg", "markers"),
     "feet_apart": (0.10, "m", "markers"),
     "leg_share": (65.0, "%", "forces"),
@@ -1535,6 +1536,22 @@ def worn_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
         )
 
 
+def overlap_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
+    """Notes of trials with time in common: what they show counts twice."""
+    for one, e in combinations(evidence, 2):
+        start = max(x.trial.start_s for x in (one, e))
+        end = min(x.trial.start_s + x.trial.duration for x in (one, e))
+        # One may begin with the frame that ends the other.
+        if one.files.markers == e.files.markers and end - start > 1e-6:
+            yield e.check(
+                "overlap",
+                end - start,
+                f"this part overlaps with {one.trial.name}, whose frames count "
+                "twice; neither is unseen by a calibration with the other",
+                level="note",
+            )
+
+
 def plausibility(
     subject: SubjectModel, standing: Standing, evidence: Sequence[Evidence]
 ) -> tuple[Check, ...]:
@@ -1555,7 +1572,7 @@ def plausibility(
         checks += load_checks(e)
     checks += [*shear_checks(evidence), *force_checks(evidence)]
     checks += [*between_trials(evidence), *wearer_checks(evidence)]
-    return (*checks, *worn_checks(evidence))
+    return (*checks, *overlap_checks(evidence), *worn_checks(evidence))
 
 
 def refuse(checks: Iterable[Check], accepted: Iterable[str], study: str | Path):

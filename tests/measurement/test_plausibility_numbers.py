@@ -1051,3 +1051,23 @@ def test_the_used_part_holds_the_frames_at_its_ends():
     vars(e).pop("inside")
     e.trial.start_s, e.trial.duration = 1.5, np.nextafter(0.49, 0.0) - 1e-15
     assert e.inside.sum() == N
+
+
+def test_trials_with_time_in_common():
+    parts = []
+    for name, start, duration in (
+        ("a", 0.4, 2.0),
+        ("b", 0.4 + 2.0, 1.0),
+        ("c", 2.1, 1.0),
+    ):
+        e = made()
+        e.trial.name, e.trial.start_s, e.trial.duration = name, start, duration
+        e.files.markers = "squats.trc"
+        parts.append(e)
+    found = list(plausibility.overlap_checks(parts))
+    assert [c.where for c in found] == ["c", "c"]
+    assert told(found, "overlap") == [(0.3, 0.0, False), (0.7, 0.0, False)]
+    assert all(c.level == "note" for c in found)
+    assert "overlaps with a," in found[0].sentence
+    parts[2].files.markers = "another.trc"
+    assert list(plausibility.overlap_checks(parts)) == []
