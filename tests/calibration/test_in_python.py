@@ -312,6 +312,18 @@ def test_a_trials_feet_and_segments_are_the_models(made):
     assert "no segment 'banana'" in words(applied={"banana": trial.ground})
 
 
+@pytest.mark.parametrize(
+    ("name", "factor", "of"),
+    [("v", 0.0, "q"), ("v", np.rad2deg(1.0), "q"), ("a", 0.0, "v")],
+)
+def test_rates_are_those_of_the_motion(made, name, factor, of):
+    trial = made.trials[0]
+    wrong = replace(trial, **{name: factor * getattr(trial, name)})
+    said = f"rise1: {name} is not the derivative of {of}: (exo_)?(knee|hip) is"
+    with pytest.raises(InputError, match=said):
+        dx.FootGroundCalibration(made.model, [wrong])
+
+
 def test_what_a_callback_raises_ends_the_solve(posed):
     told = []
 
