@@ -37,6 +37,10 @@ class Coordinates:
     device: tuple[str, ...] = ()
     coupling: tuple[tuple[float, ...], ...] = ()
 
+    def __post_init__(self):
+        for name in ("names", "device"):  # lists never equal a model's tuples
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+
     def __len__(self) -> int:
         return len(self.names)
 

@@ -152,3 +152,9 @@ def test_welds_have_no_coordinate():
 def test_other_trees_are_refused(root, joint, words):
     with pytest.raises(ValueError, match=words):
         read_coordinates(plant_of(root, joint))
+
+
+def test_lists_of_names_are_those_of_the_model(coupled):
+    listed = Coordinates(list(coupled.names), list(coupled.device))
+    assert listed == Coordinates(coupled.names, coupled.device)
+    assert coupled.names[:3] == listed.root
