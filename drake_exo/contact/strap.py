@@ -202,7 +202,7 @@ def GainController_(T):
         def _construct(self, gains, converter=None):
             LeafSystem_[T].__init__(self, converter=converter)
             self.set_name("gain_controller")
-            self._gains = tuple(gains)
+            self._gains = tuple(schema.check(g, Gains, "gains") for g in gains)
             m = len(self._gains)
             for own in self._gains:
                 self.DeclareNumericParameter(BasicVector_[T](astuple(own)))

@@ -12,6 +12,7 @@ from drake_exo.contact.strap import (
     GainController_,
     Gains,
 )
+from drake_exo.errors import InputError
 
 KNEE, HIP = Gains(0.8, 1.5, 6.0, 0.4), Gains(1.1, -2.0, 0.0, 1.2)
 STATE = np.array([0.9, -0.4, 0.7, -1.1])  # angles, rates
@@ -28,6 +29,19 @@ def asked(system, today=TODAY, state=STATE):
     if today is not None:
         system.GetInputPort("today_torques").FixValue(context, today)
     return context, system.GetOutputPort("exoskeleton_torques")
+
+
+@pytest.mark.parametrize(
+    ("gains", "words"),
+    [
+        (Gains(stiffness_nm_rad=-1.0), "stiffness_nm_rad is -1"),
+        (Gains(np.nan), "support is .nan"),
+        (0.5, "give a Gains"),
+    ],
+)
+def test_gains_that_no_design_may_have_are_refused(gains, words):
+    with pytest.raises(InputError, match=words):
+        GainController([Gains(), gains])
 
 
 def test_law_design_and_system_are_one():
