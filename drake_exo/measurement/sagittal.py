@@ -115,8 +115,8 @@ class PlanarWrench:
     @staticmethod
     def of(array: np.ndarray) -> "PlanarWrench":
         """From F_x, F_z, M_y (N, 3)."""
-        _, _, moment = array.T
-        return PlanarWrench(array[:, :2], moment)
+        force_x, force_z, moment = np.asarray(array).T
+        return PlanarWrench(np.column_stack([force_x, force_z]), moment)
 
     @staticmethod
     def of_spatial(wrench: np.ndarray) -> "PlanarWrench":

@@ -43,7 +43,7 @@ class CuffForce:
     @staticmethod
     def of(components: np.ndarray) -> "CuffForce":
         """From tangential, normal, rotational components (n, 3)."""
-        tangential, normal, moment = components.T
+        tangential, normal, moment = np.asarray(components).T
         return CuffForce(normal, tangential, moment)
 
     def __repr__(self) -> str:

@@ -9,6 +9,7 @@ from drake_exo.measurement.sagittal import (
     merge_plates,
     spatial_wrench,
 )
+from drake_exo.measurement.trial import CuffForce
 
 
 def plate(force, point, torque=(0.0, 0.0, 0.0)):
@@ -119,6 +120,12 @@ def test_walking_force_pushes_back_then_forward(data_root):
     F_x = direction * left.force[stance, 0]
     half = len(F_x) // 2
     assert F_x[:half].mean() < -10.0 < 10.0 < F_x[half:].mean()
+
+
+def test_rows_may_be_lists():
+    wrench = PlanarWrench.of([[1.0, 700.0, -70.0], [2.0, 600.0, 0.0]])
+    assert wrench.array.tolist() == [[1.0, 700.0, -70.0], [2.0, 600.0, 0.0]]
+    assert CuffForce.of([[1.0, 2.0, 3.0]]).components.tolist() == [[1, 2, 3]]
 
 
 def test_a_wrench_is_its_array():
