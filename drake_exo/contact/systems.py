@@ -260,7 +260,8 @@ def FootGroundContact_(T):
         Inputs, to be connected to the plant's ports of the same name:
             body_poses, body_spatial_velocities.
         Outputs:
-            spatial_forces: for a plant's applied_spatial_force port.
+            spatial_forces: for a plant's applied_spatial_force port; Drake's
+                ExternallyAppliedSpatialForceMultiplexer joins several.
             ground_reaction: F_x, F_z [N] on the foot and the moment
                 M_y = z F_x − x F_z about the world's origin [N·m], summed
                 over spheres.
@@ -403,7 +404,7 @@ def HumanExoskeletonBushings_(T):
             interaction_forces: on the human [N, N, N·m].
             deflections: [m, m, rad].
             energies: ½ k d² [J], d without what has slipped.
-        and spatial_forces, for a plant's applied_spatial_force port.
+        and spatial_forces, as of `FootGroundContact`.
         Numeric parameters:
             a vector for each bushing (fields of `BushingParameters`).
 

@@ -42,7 +42,6 @@ from drake_exo.measurement.kinematics import (
     ankle_paths,
     carried,
     coordinates,
-    from_the_ground_up,
     inverse_dynamics,
     leg_angles,
     residual_rms,
@@ -557,19 +556,11 @@ class Recordings:
         )
 
     def _moments(self, recording: Recording, trial: Trial, time):
-        """Joint moments (n, n_joints), friction (n, joints), and their origin.
-
-        The resultant is that of body and device moving as one, from the ground
-        up. The human's moments are the resultant less the exoskeleton's.
-        """
+        """Joint moments (n, n_joints), friction (n, joints), their origin."""
         model, device = self._subject.model, self._settings.device
-        names, tree = model.coordinates, model.rigid.tree
-        q, v, a = trial.body
-        Q = inverse_dynamics(tree, q, v, a, trial.loads(tree.root))
-        resultant = from_the_ground_up(tree, q, Q)
-        resultant = resultant[:, tree.coordinates.joint_columns]
-        if not names.device:
-            return resultant, None, {"human": "resultant"}
+        if not model.coordinates.device:
+            moments = trial.with_moments(model).moments
+            return moments, None, {"human": "resultant"}
         friction = None
         if recording.moments is not None:
             exo = recording.moments.at(time, "exoskeleton moments")
@@ -588,9 +579,8 @@ class Recordings:
                 None,
                 {"human": "unknown: neither exo_moments nor device are given"},
             )
-        human = resultant - exo @ names.turned_by
         said = {"human": "resultant - exoskeleton", "exoskeleton": source}
-        return names.joined(human, exo), friction, said
+        return trial.with_moments(model, exo).moments, friction, said
 
     def _provenance(self, files: TrialFiles, recording: Recording) -> dict:
         """Provenance of a recording: files, filter, and processing."""

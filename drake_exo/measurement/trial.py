@@ -10,8 +10,10 @@ from scipy.interpolate import CubicSpline
 
 from drake_exo.errors import InputError, check_bounds, check_type, path_of
 from drake_exo.files.output import read_arrays, read_json, write_json
+from drake_exo.measurement import kinematics
 from drake_exo.measurement.sagittal import PlanarWrench, fixed
 from drake_exo.model.coordinates import Coordinates
+from drake_exo.model.plant import Model
 
 Source = Literal["measured", "solved", "simulated"]
 _OUTSIDE_S = 1e-6  # rounding of a trial's end
@@ -87,7 +89,8 @@ class Trial:
         feet: side -> that foot's part of `ground`; empty in models of one leg.
         source: "measured", "solved" or "simulated".
         moments: (n, n_joints) joint moments [N m]; the human's are those of
-            the muscles: without the exoskeleton's. None where not known.
+            the muscles: without the exoskeleton's, see `with_moments`. None
+            where not known.
         cuffs: cuff -> its force (n,) on the human, where it is known.
         chair: wrench (n,) of the chair on the body; None if no plate was
             under it.
@@ -100,7 +103,9 @@ class Trial:
         jerk: (n_controls, nq) controls of a solution; None otherwise.
         mass_kg: body mass without the exoskeleton; None where not known.
         start_s: time of the first sample in the recording [s].
-        provenance: files, filters, and what was shifted or doubled.
+        provenance: files, filters, and what was shifted or doubled. Clocks
+            that it names under both "delays_s" (instrument -> lag taken out
+            [s]) and "clocks" (instrument -> text) are found by Phases B and C.
         around: what the device's instruments showed from shortly before until
             shortly after this trial, too, as a trial; None where not known.
 
@@ -241,6 +246,33 @@ class Trial:
                 "exo_moments or device in the study"
             )
         return self.moments[:, place]
+
+    def with_moments(
+        self, model: Model, device: np.ndarray | None = None
+    ) -> "Trial":
+        """The trial with its model's joint moments by inverse dynamics.
+
+        Body and device move as one, from the ground up. The human's moments
+        are the resultant less those of the device (n, m) [N m], in the order
+        of `coordinates.device`.
+
+        Raises:
+            InputError: `device` has another shape.
+        """
+        names, tree = model.coordinates, model.rigid.tree
+        wanted = len(self.times), len(names.device)
+        exo = fixed(np.zeros((wanted[0], 0)) if device is None else device)
+        if exo.shape != wanted:
+            raise InputError(
+                f"trial {self.name}: the device's moments have the shape "
+                f"{exo.shape}, not {wanted}; give a column for each joint"
+            )
+        q, v, a = self.body
+        Q = kinematics.inverse_dynamics(tree, q, v, a, self.loads(tree.root))
+        resultant = kinematics.from_the_ground_up(tree, q, Q)
+        resultant = resultant[:, tree.coordinates.joint_columns]
+        human = resultant - exo @ names.turned_by
+        return replace(self, moments=names.joined(human, exo))
 
     @property
     def body(self) -> list[np.ndarray]:

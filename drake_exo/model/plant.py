@@ -39,6 +39,8 @@ from drake_exo.model.assembly import (
 )
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.description import (
+    NOMINAL_HEIGHT_M,
+    NOMINAL_MASS_KG,
     body_width,
     exoskeleton_sdf,
     fit_exoskeleton,
@@ -46,7 +48,6 @@ from drake_exo.model.description import (
     hinges,
     human_sdf,
     models_path,
-    nominal_human,
     soles,
 )
 from drake_exo.model.device_file import (
@@ -62,6 +63,7 @@ from drake_exo.model.segments import (
     CUFFED,
     ExoskeletonParameters,
     HumanParameters,
+    scale_human,
 )
 
 GRAVITY = 9.81
@@ -102,8 +104,8 @@ class Model:
     Raises:
         InputError: parts do not fit together, or a value is out of bounds.
 
-    >>> human = nominal_human()
-    >>> model = Model("coupled", human, fit_exoskeleton(human))
+    >>> human, device = nominal_model().human, nominal_model().exoskeleton
+    >>> model = Model("coupled", human, device)
     >>> model.tree.coordinates.device
     ('exo_ankle', 'exo_knee', 'exo_hip')
     >>> list(model.cuffs)
@@ -332,13 +334,25 @@ class Model:
         return plant
 
 
-def nominal_model(kind: Kind = "coupled") -> Model:
+def nominal_model(
+    kind: Kind = "coupled",
+    mass_kg: float = NOMINAL_MASS_KG,
+    height_m: float = NOMINAL_HEIGHT_M,
+    sex: str = "male",
+) -> Model:
     """The nominal adult; with the fitted device unless `kind` is "human".
+
+    Of another mass, height or sex, segments follow from de Leva's tables.
+
+    Raises:
+        InputError: unknown kind; mass, height or sex that nobody has.
 
     >>> round(nominal_model("human").tree.mass, 6)
     70.0
+    >>> nominal_model(mass_kg=62.0, height_m=1.68, sex="female")
+    Model('coupled', 62.0 kg, 1.68 m; cuffs shank, thigh, pelvis)
     """
-    human = nominal_human()
+    human = scale_human(mass_kg, height_m, sex)
     alone = kind in ASSEMBLIES and not ASSEMBLIES[kind].device
     return Model(kind, human, None if alone else fit_exoskeleton(human))
 

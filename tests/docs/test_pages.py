@@ -292,6 +292,36 @@ def test_every_key_of_a_case_is_in_the_soles_page():
 
 
 @pytest.mark.slow
+def test_trials_from_arrays_are_made_as_the_page_says():
+    page = (ROOT / "docs" / "your_data.md").read_text("utf-8")
+    (block,) = [
+        b for k, b in _FENCE.findall(page) if k == "python" and "Trial(" in b
+    ]
+    made = dx.synthetic.rises_in_device(1, nodes_per_second=100)
+    given = made.trials[0]
+    names = {
+        "times": given.times,
+        "q": given.q,
+        "force": given.ground.force,
+        "cop_x": given.ground.cop_x,
+        "normal": given.cuff("pelvis").normal,
+        "torques": given.device_moments,
+    }
+    exec(block, names)
+    rise = names["rise"]
+    assert names["model"] == made.model
+    for name, near in (("v", 0.01), ("a", 0.5)):
+        off = np.abs(getattr(rise, name) - getattr(given, name)).max()
+        assert off < near, name
+    assert np.abs(rise.ground.array - given.ground.array).max() < 1e-9
+    assert np.abs(rise.moments - given.moments).max() < 10.0
+    cuffs = names["cuffs"]
+    assert names["contact"].success and cuffs.success
+    assert [c.system for c in cuffs.clocks] == ["encoders", "pressure"]
+    assert cuffs.rmsd()[0]["interaction_n"]["pelvis"] < 1.0
+
+
+@pytest.mark.slow
 def test_intervals_bands_and_nominal_cuffs_are_as_the_page_says():
     page = (ROOT / "docs" / "results.md").read_text("utf-8")
     block = [b for k, b in _FENCE.findall(page) if k == "python"][-1]

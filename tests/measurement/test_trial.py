@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from measured_trials import seen
+from pydrake.multibody.tree import MultibodyForces
 
 from drake_exo.errors import InputError
 from drake_exo.measurement.sagittal import PlanarWrench
@@ -365,3 +366,39 @@ def test_trials_made_of_each_other_have_forces_of_their_own(whole):
         assert getattr(without, name) is not getattr(whole, name)
     without.cuffs.clear()
     assert list(whole.cuffs) == ["thigh", "shank"]
+
+
+@pytest.mark.parametrize("kind", ["coupled", "human"])
+def test_moments_are_those_of_drake_less_the_device_s(nominal, kind):
+    """Body and device as one plant, on the ground that it needs."""
+    model = nominal(kind)
+    names, plant = model.coordinates, model.rigid.plant()
+    context, forces = plant.CreateDefaultContext(), MultibodyForces(plant)
+    rng = np.random.default_rng(2)
+    q, v, a = rng.normal(0.0, 0.5, (3, 4, len(names.body)))
+    Q = np.zeros_like(q)
+    for k in range(4):
+        plant.SetPositions(context, q[k])
+        plant.SetVelocities(context, v[k])
+        plant.CalcForceElementsContribution(context, forces)
+        Q[k] = plant.CalcInverseDynamics(context, a[k], forces)
+    F_x, F_z, pitch = Q[:, :3].T
+    M_y = q[:, 1] * F_x - q[:, 0] * F_z - pitch
+    trial = Trial(
+        "any",
+        names,
+        np.arange(4.0),
+        *(names.aligned(x) for x in (q, v, a)),
+        PlanarWrench(Q[:, :2], M_y),
+    )
+    torques = rng.normal(size=(4, len(names.device)))
+    found = trial.with_moments(model, torques if names.device else None)
+    np.testing.assert_array_equal(found.device_moments, torques)
+    total = np.column_stack([found.moment(n) for n in names.human])
+    if names.device:
+        total += torques
+    np.testing.assert_allclose(total, Q[:, 3:], atol=1e-9)
+    wanted = rf"not \(4, {len(names.device)}\); give a column"
+    for given in (np.zeros((4, 2)), torques[:3]):
+        with pytest.raises(InputError, match=wanted):
+            trial.with_moments(model, given)

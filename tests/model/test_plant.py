@@ -416,3 +416,11 @@ def test_human_plant_takes_no_exoskeleton():
     device = fit_exoskeleton(scale_human(70.0, 1.75))
     with pytest.raises(InputError, match="no exoskeleton"):
         build_plant("human", exoskeleton=device)
+
+
+def test_a_person_of_other_size_wears_the_fitted_device():
+    human = scale_human(62.6, 1.68, "female")
+    model = nominal_model("coupled", 62.6, 1.68, "female")
+    assert model == Model("coupled", human, fit_exoskeleton(human))
+    with pytest.raises(InputError, match="give metres"):
+        nominal_model("human", height_m=168.0)
