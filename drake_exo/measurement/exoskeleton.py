@@ -40,7 +40,7 @@ class Signal:
 
     Attributes:
         time: (N,) evenly spaced [s].
-        values: (N, joints) [rad], or [N m] of both legs.
+        values: (N, joints) [rad], or [N m] of both legs; (N, 3) of a mat.
         source: file name.
         one_leg: the leg that was measured, None for both.
     """

@@ -25,6 +25,7 @@ from drake_exo.files.pressure import (
     split,
 )
 from drake_exo.files.tables import LENGTHS, kept, kind_of, uniform_time
+from drake_exo.measurement.exoskeleton import Signal
 from drake_exo.measurement.filters import linear
 from drake_exo.measurement.sagittal import Axes
 from drake_exo.measurement.settings import Filter, Mat, PressureFile, Scan
@@ -196,33 +197,25 @@ _PITCH = (0.5, 2.0)  # distance of neighbouring cells on the scan over size
 _LONG = 3.0  # above this ratio of pitches, rows and columns are exchanged
 
 
-@dataclass(frozen=True)
-class MatForce:
+@dataclass(frozen=True, kw_only=True)
+class MatForce(Signal):
     """Filtered force of one mat on the human; doubled if of one leg alone.
+
+    Values are (N, 3) in the segment's axes: x forward, y left, z up [N].
 
     Attributes:
         name, segment: of the mat, and of the cuff under which it lies.
-        time: (N,) evenly spaced [s].
-        force: (N, 3) in the segment's axes (x forward, y left, z up) [N].
-        source: file name.
         report: fit of the cells to the scan, peak pressure, doubling.
     """
 
     name: str
     segment: str
-    time: np.ndarray
-    force: np.ndarray
-    source: str
     report: dict[str, Any]
 
     @property
     def normal(self) -> np.ndarray:
         """Force (N,) on the human normal to the segment [N]."""
-        return self.force[:, 0]
-
-    def delayed(self, delay_s: float) -> "MatForce":
-        """The same force with its clock's lag removed from the times."""
-        return replace(self, time=self.time - delay_s)
+        return self.values[:, 0]
 
 
 def read_mat_forces(
@@ -255,11 +248,8 @@ def read_mat_forces(
             if mat.legs != "both" and not seen[mat.segment] >= set(SIDES):
                 force = 2.0 * force
                 report["doubled"] = f"{mat.legs} leg measured, doubled"
-            found.append(
-                MatForce(
-                    name, mat.segment, time, force, recording.source, report
-                )
-            )
+            about = {"name": name, "segment": mat.segment, "report": report}
+            found.append(MatForce(time, force, recording.source, **about))
     return tuple(found)
 
 

@@ -24,7 +24,6 @@ from drake_exo.measurement.exoskeleton import (
     friction_moments,
     read_angles,
     read_moments,
-    within,
 )
 from drake_exo.measurement.filters import (
     Gap,
@@ -34,7 +33,6 @@ from drake_exo.measurement.filters import (
     fill_gaps,
     gap_remedy,
     leaps,
-    resample,
     standstills,
 )
 from drake_exo.measurement.kinematics import (
@@ -835,8 +833,7 @@ def _cuff_forces(recording: Recording, time):
     total: dict[str, np.ndarray] = {}
     notes: dict[str, Any] = {}
     for mat in recording.mats:
-        at = within(mat.source, mat.time, time, f"pressures of {mat.name}")
-        force = resample(mat.time, mat.normal, at)
+        force = mat.at(time, f"pressures of {mat.name}")[:, 0]
         total[mat.segment] = total.get(mat.segment, 0.0) + force
         notes[mat.name] = mat.report
     return {name: CuffForce(force) for name, force in total.items()}, notes

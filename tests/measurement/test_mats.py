@@ -336,7 +336,7 @@ def test_known_load_on_a_curved_surface(folder):
     load = 1e3 * KPA * 2 * RADIUS * np.sin(np.pi / 4) * 0.1
     assert load == pytest.approx(226.3, abs=0.1)
     np.testing.assert_allclose(found.normal, -load, rtol=5e-3)
-    np.testing.assert_allclose(found.force[:, 1:], 0.0, atol=1e-9)
+    np.testing.assert_allclose(found.values[:, 1:], 0.0, atol=1e-9)
     assert found.segment == "shank"
     # Not the plain sum of pressure times area, which is 11 % more.
     assert 1.1 * load < 1e3 * KPA * AREA * 40
@@ -362,7 +362,7 @@ def test_a_segment_that_leant_in_the_scan(folder):
     write_pressure(folder / "p.csv", MAT)
     (leant,) = forces(folder, {"m": replace(MAT, scan=scan)}, "m")
     np.testing.assert_allclose(leant.normal, -226.3, rtol=5e-3)
-    np.testing.assert_allclose(leant.force[:, 2], 0.0, atol=1e-5)
+    np.testing.assert_allclose(leant.values[:, 2], 0.0, atol=1e-5)
     scan = replace(scan, segment_axis=None)
     (upright,) = forces(folder, {"m": replace(MAT, scan=scan)}, "m")
     np.testing.assert_allclose(upright.normal, -226.3 * c, rtol=5e-3)
