@@ -272,9 +272,7 @@ def read_markers(path: Path, settings: Filter) -> MarkerData:
     data = read(path)
     time = uniform_time(data.source, data.time, data.rate_hz)
     check_filterable(data.source, len(time), data.rate_hz, settings.cutoff_hz)
-    return MarkerData(
-        time, data.names, data.positions, data.rate_hz, data.source
-    )
+    return replace(data, time=time)
 
 
 def read_foot_forces(

@@ -439,6 +439,8 @@ _FORCE_X = ((0.0, 0.04, 0.12, 0.32, 0.52, 0.62), (0, -0.08, -0.18, 0, 0.2, 0))
 _POINT_M = ((0.0, 0.15, 0.48, 0.62), (-0.03, 0.04, 0.14, 0.18))
 _SUNK_M = 0.005
 WALKWAY_M = 3.0  # longer than any walk
+# Full steps (in the first, device and soles settle), and part of another [s].
+_FULL_STEPS, _AFTER_S = 3, 0.25
 _NODES_PER_SECOND = 100.0
 # Standard deviations about these curves in the search.
 _NEAR_DEG = 6.0
@@ -458,14 +460,10 @@ class WalkPlan:
     Attributes:
         speed_m_s: mean speed of the pelvis.
         step_s: duration of one step, half a cycle.
-        steps: number of full steps; in the first, device and soles settle.
-        after_s: duration of the part of a further step.
     """
 
     speed_m_s: float = 1.2
     step_s: float = 0.55
-    steps: int = 3
-    after_s: float = 0.25
 
 
 def vary_walk(plan: WalkPlan, rng: np.random.Generator) -> WalkPlan:
@@ -508,7 +506,7 @@ def plan_walk(
         "person and device; give another seed, or a lighter device",
         SolveWatch(f"{title}, step"),
     )
-    return repeated(result.trials[0], plan.steps, plan.after_s)
+    return repeated(result.trials[0], _FULL_STEPS, _AFTER_S)
 
 
 class _Step(PeriodicStep):

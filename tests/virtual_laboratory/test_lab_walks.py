@@ -445,16 +445,15 @@ def test_a_walk_is_made_of_the_step_that_was_found(subject, step, monkeypatch):
         return SimpleNamespace(solve=lambda on_iterate: found)
 
     monkeypatch.setattr(two_legs, "_Step", problem)
-    plan = replace(PLAN, steps=2, after_s=0.1)
     soles = subject.truth.contact
-    walk = two_legs.plan_walk(subject.truth.model, soles, plan, "walk")
-    assert walk.times[-1] == pytest.approx(2 * plan.step_s + 0.1)
+    walk = two_legs.plan_walk(subject.truth.model, soles, PLAN, "walk")
+    assert walk.times[-1] == pytest.approx(3 * PLAN.step_s + 0.25)
     near, ground, settings = asked[0]
     np.testing.assert_array_equal(near.q, step.q)
     assert ground.spheres == soles.spheres
     slower = soles.constants.transition_velocity
     assert ground.constants.transition_velocity > slower
-    assert settings.speed_m_s == plan.speed_m_s
+    assert settings.speed_m_s == PLAN.speed_m_s
     assert settings.solver.nodes_per_second == 100.0
     # Newtons by the hundred, centimetres, tens of newton metres.
     noise = settings.noise
@@ -462,7 +461,7 @@ def test_a_walk_is_made_of_the_step_that_was_found(subject, step, monkeypatch):
     assert 10.0 < noise.torque_nm < 100.0 and noise.jerk > 100.0
     found.success = False
     with pytest.raises(InputError, match=r"no step of 1\.20 m/s was found"):
-        two_legs.plan_walk(subject.truth.model, soles, plan, "walk")
+        two_legs.plan_walk(subject.truth.model, soles, PLAN, "walk")
 
 
 def test_a_step_stays_within_degrees_of_the_template(subject, step):
