@@ -7,7 +7,7 @@ units and duration, for every format that drake-exo reads.
 import argparse
 from pathlib import Path
 
-from drake_exo.files.inspection import inspect, text_of
+from drake_exo.files.inspection import inspect
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,5 +24,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the contents of each file."""
     for path in args.file:
-        print(text_of(path, inspect(path)))
+        print(inspect(path))
     return 0

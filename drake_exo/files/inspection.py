@@ -37,8 +37,8 @@ _MESHES = (".stl", ".obj", ".ply", ".vtk", ".msh")
 Contents = dict[str, list[str]]
 
 
-def inspect(path: str | Path) -> Contents:
-    """List a file's contents: markers and gaps, plates and loads, channels.
+def inspect(path: str | Path) -> str:
+    """A file's contents as text: markers, gaps, plates and loads, channels.
 
     Args:
         path: .c3d, .trc, .mot, .sto, .csv (table, Motive's, pressure) or .asc;
@@ -63,11 +63,7 @@ read; give one of .c3d, .trc, .mot, .sto, .csv, .asc, .osim, .stl, .obj, \
         ".osim": _of_model,
         **dict.fromkeys(_MESHES, _of_mesh),
     }
-    return readers[kind_of(path, readers, "in a format")](Path(path))
-
-
-def text_of(path: str | Path, contents: Contents) -> str:
-    """The contents of a file as text."""
+    contents = readers[kind_of(path, readers, "in a format")](Path(path))
     lines = [str(path)]
     for title, signals in contents.items():
         lines += [title, *(f"  {line}" for line in signals)]

@@ -11,7 +11,7 @@ import pytest
 from drake_exo.cli import main
 from drake_exo.errors import InputError
 from drake_exo.files.c3d import write_c3d
-from drake_exo.files.inspection import inspect, text_of
+from drake_exo.files.inspection import inspect
 from drake_exo.files.opensim import write_table, write_trc
 from drake_exo.files.tables import (
     MarkerData,
@@ -31,13 +31,9 @@ def markers():
     return MarkerData(TIME, ("A", "B"), p, 100.0)
 
 
-def text(path):
-    return text_of(path, inspect(path))
-
-
 def test_markers_and_their_gaps(tmp_path, markers):
     write_trc(tmp_path / "a.trc", markers)
-    found = text(tmp_path / "a.trc")
+    found = inspect(tmp_path / "a.trc")
     assert "2 markers, positions in m, 100 Hz, 0 to 1.99 s, 200" in found
     assert "  A: around (0.100, 0.200, 0.300) m\n" in found
     assert "  B: around (1.000, 1.100, 1.200) m; not seen in 13 frames: " in (
@@ -49,13 +45,13 @@ def test_markers_and_their_gaps(tmp_path, markers):
 def test_a_gap_of_one_frame_is_one_time(tmp_path, markers):
     markers.positions[7, 0] = np.nan
     write_trc(tmp_path / "a.trc", markers)
-    assert "m; not seen in 1 frame: 0.07 s\n" in text(tmp_path / "a.trc")
+    assert "m; not seen in 1 frame: 0.07 s\n" in inspect(tmp_path / "a.trc")
 
 
 def test_hidden_markers_as_zeros_are_pointed_at(tmp_path, markers):
     markers.positions[:5, 0] = 0.0
     write_trc(tmp_path / "a.trc", markers)
-    assert "(0, 0, 0) at times: hidden, as zeros" in text(tmp_path / "a.trc")
+    assert "(0, 0, 0) at times: hidden, as zeros" in inspect(tmp_path / "a.trc")
 
 
 def plate(number, force_z):
@@ -74,7 +70,7 @@ def test_c3d_markers_plates_and_channels(tmp_path, markers):
         [plate(1, load), plate(2, 0.0 * load)],
         [np.array(square)] * 2,
     )
-    found = text(tmp_path / "a.c3d")
+    found = inspect(tmp_path / "a.c3d")
     assert "2 markers" in found and "not seen in 13 frames" in found
     assert "2 force plates, 100 Hz" in found
     assert "plate 1: loaded 50 % of the time, 1 to 1.99 s; up to 600 N" in found
@@ -89,7 +85,7 @@ def test_c3d_markers_plates_and_channels(tmp_path, markers):
         [plate(1, load)],
         [np.array(square)],
     )
-    found = text(tmp_path / "one.c3d")
+    found = inspect(tmp_path / "one.c3d")
     assert "\n1 marker, positions" in found
     assert "\n1 force plate, 100 Hz" in found
 
@@ -98,7 +94,7 @@ def test_tables_say_their_unit_of_angles(tmp_path):
     values = np.column_stack([np.linspace(0, 90, 200), np.full(200, 5.0)])
     table = Table(TIME, ("knee", "hip"), values, True)
     write_table(tmp_path / "a.mot", table)
-    found = text(tmp_path / "a.mot")
+    found = inspect(tmp_path / "a.mot")
     assert (
         "2 channels, angles in degrees, else in SI units, 100 Hz, 0 to 1.99 s"
         in found
@@ -108,31 +104,31 @@ def test_tables_say_their_unit_of_angles(tmp_path):
     force = np.zeros((200, 6))
     force[:, 1] = 700.0
     write_table(tmp_path / "b.sto", Table(TIME, tuple(names), force, False))
-    assert "mostly along y (700 N)" in text(tmp_path / "b.sto")
+    assert "mostly along y (700 N)" in inspect(tmp_path / "b.sto")
 
 
 def test_what_truly_happened_is_no_file_of_plates(tmp_path):
     """Its forces are planar: ground_force_x, ground_force_z."""
     names = ("ground_force_x", "ground_force_z", "ground_moment_y")
     write_table(tmp_path / "a.sto", Table(TIME, names, np.ones((200, 3))))
-    assert "  ground_force_z: 1 throughout" in text(tmp_path / "a.sto")
+    assert "  ground_force_z: 1 throughout" in inspect(tmp_path / "a.sto")
 
 
 def test_csv_of_signals_and_of_pressure(tmp_path):
     table = Table(TIME, ("exo_knee",), TIME[:, None], False)
     write_csv_table(tmp_path / "a.csv", table, ["deg"])
-    assert "exo_knee: 0 to 1.99" in text(tmp_path / "a.csv")
+    assert "exo_knee: 0 to 1.99" in inspect(tmp_path / "a.csv")
     rows = ["time [s]; kPa,1,2,3"]
     rows += [f"{t:g},0,{10 * t:g},0" for t in TIME]
     (tmp_path / "p.csv").write_text("\n".join(rows) + "\n")
-    found = text(tmp_path / "p.csv")
+    found = inspect(tmp_path / "p.csv")
     assert "cells: 3 cells, up to 19.9 kPa, 1 of them pressed" in found
     (tmp_path / "a.csv").write_text("time [s];exo_knee [deg]\n0,0;1\n0,1;2\n")
     with pytest.raises(InputError, match="semicolons separate the columns"):
         inspect(tmp_path / "a.csv")
     rows = ["Row,Column,X,Y,Z", "1,1,20.5,75,703", "1,2,21,75,717"]
     (tmp_path / "cells.csv").write_text("\n".join(rows) + "\n")
-    found = text(tmp_path / "cells.csv")
+    found = inspect(tmp_path / "cells.csv")
     assert "1 by 2 cells of a mat, in the scan's unit" in found
     assert "z: 703 to 717" in found
     (tmp_path / "cells.csv").write_text("row,column,x,y,z\n1,1,a,2,3\n")
@@ -140,7 +136,7 @@ def test_csv_of_signals_and_of_pressure(tmp_path):
         inspect(tmp_path / "cells.csv")
     rows[0] = '"row","column","x","y","z"'
     (tmp_path / "cells.csv").write_text("\n".join(rows) + "\n")
-    assert text(tmp_path / "cells.csv") == found
+    assert inspect(tmp_path / "cells.csv") == found
 
 
 @pytest.mark.parametrize("ending", ["stl", "obj", "ply", "vtk"])
@@ -153,7 +149,7 @@ def test_meshes_by_their_size(tmp_path, ending):
         cells.append(("tetra", np.array([[0, 1, 2, 3]])))
     path = tmp_path / f"a.{ending}"
     meshio.Mesh(points, cells).write(path)
-    found = text(path)
+    found = inspect(path)
     assert "4 triangles, 30 by 20 by 10" in found
     assert ("1 tetrahedron, 30 by 20 by 10" in found) == (ending == "vtk")
 
@@ -165,15 +161,15 @@ def test_real_files_of_every_kind(data_root):
         ("boxlifting_squat/SquatLifting_Forceplate.csv", "plate 1: loaded"),
         ("c3d/opensim_walking5.c3d", "2 force plates"),
     ):
-        assert words in text(data_root / name)
+        assert words in inspect(data_root / name)
     path = data_root / "opensim_gait10dof/subject01.osim"
     masses = [float(x.text) for x in ElementTree.parse(path).iter("mass")]
-    found = text(path)
+    found = inspect(path)
     assert f"12 bodies, {sum(masses):.4g} kg" in found
     assert "hip_r: PinJoint, pelvis to femur_r, hip_flexion_r" in found
     assert "39 markers" in found
     asc = next((data_root / "novel_asc").glob("*.asc"))
-    assert "99 cells" in text(asc)
+    assert "99 cells" in inspect(asc)
 
 
 @pytest.mark.parametrize(
