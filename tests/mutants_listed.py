@@ -587,7 +587,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("and driven[0] == driven[1]", ""),
         ("np.eye(by.shape[1]) + by.T @ by", "by.T @ by"),
         ("own / max(other, 1e-9),", "other / max(own, 1e-9),"),
-        ("100.0 * misfit(e, e, _REACH_S)[0]", "misfit(e, e, _REACH_S)[0]"),
+        ("100.0 * misfit(e, e)[0]", "misfit(e, e)[0]"),
         ("np.hypot(fits[i, i], fits[j, j])", "fits[i, i]"),
         ("best = min(best, (share, float(lag)))", "best = share, float(lag)"),
         ("1e3 * lag if is_told else 0.0", "1e3 * lag"),

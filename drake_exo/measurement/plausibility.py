@@ -1021,7 +1021,7 @@ def device_checks(e: Evidence) -> Iterator[Check]:
     spans = np.ptp(human, axis=0)
     yield from _exchanged(e, human, device, np.flatnonzero(spans > _MOVES_DEG))
     if (spans > _FAR_DEG).any():
-        missed = 100.0 * misfit(e, e, _REACH_S)[0]
+        missed = 100.0 * misfit(e, e)[0]
         yield e.check(
             "encoder_motion",
             missed,
@@ -1159,13 +1159,11 @@ def _exchanged(e: Evidence, human, device, moving) -> Iterator[Check]:
         )
 
 
-def misfit(
-    e: Evidence, encoders: Evidence, reach_s: float
-) -> tuple[float, float]:
+def misfit(e: Evidence, encoders: Evidence) -> tuple[float, float]:
     """Relative misfit of encoder speeds to a person's joint speeds.
 
     Of `e`'s joints that move by 30° against the files of `encoders`, at the
-    best lag of the clock within `reach_s`.
+    best lag of the clock within 60 ms.
 
     Returns:
         The misfit and that lag [s]; infinite if the encoders do not cover the
@@ -1179,7 +1177,7 @@ def misfit(
     angles = encoders.recording.angles
     rates = np.gradient(angles.values[:, moving], angles.time, axis=0)
     best = np.inf, 0.0
-    for lag in np.arange(-reach_s, reach_s + 1e-9, _STEP_S):
+    for lag in np.arange(-_REACH_S, _REACH_S + 1e-9, _STEP_S):
         t = time + lag
         if t[0] < angles.time[0] - 0.1 or t[-1] > angles.time[-1] + 0.1:
             continue
@@ -1193,7 +1191,7 @@ def between_trials(evidence: Sequence[Evidence]) -> Iterator[Check]:
     """Checks whether encoders belong to the trial that names them."""
     known = [e for e in evidence if e.recording.angles is not None]
     # Misfit of each movement (rows) with each file (columns).
-    fits = np.array([[misfit(e, o, _REACH_S)[0] for o in known] for e in known])
+    fits = np.array([[misfit(e, o)[0] for o in known] for e in known])
     hidden = _hidden(fits)
     for i, e in enumerate(known):
         others = [
@@ -1485,7 +1483,7 @@ def disagreement(evidence: Sequence[Evidence]) -> np.ndarray:
         (k, k) added cost per independent sample; NaN on the diagonal and for
         pairs that cannot be compared.
     """
-    fits = [misfit(e, e, _REACH_S) for e in evidence]
+    fits = [misfit(e, e) for e in evidence]
     known = {
         k: _Difference.of(e, lag)
         for k, (e, (share, lag)) in enumerate(zip(evidence, fits, strict=True))

@@ -171,7 +171,7 @@ def test_a_clock_that_is_off_is_no_other_movement():
         moved = gain * (0.5 - 0.5 * np.cos(np.pi * (t - 1.0 - late)))
         angles = SimpleNamespace(time=t, values=moved[:, None])
         other = SimpleNamespace(recording=SimpleNamespace(angles=angles))
-        share, lag = misfit(e, other, 0.06)
+        share, lag = misfit(e, other)
         assert lag == pytest.approx(late, abs=1e-9)
         assert share == pytest.approx(1.0 - gain, abs=1.5e-4)
 
@@ -393,7 +393,7 @@ def test_what_two_trials_cost_beyond_each_alone(monkeypatch):
         for lag in (*made, 0.03)
     ]
 
-    def misfit(e, other, reach_s):
+    def misfit(e, other):
         return (0.1 if e.lag in made else np.inf), e.lag
 
     monkeypatch.setattr(plausibility, "misfit", misfit)
