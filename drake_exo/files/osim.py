@@ -200,14 +200,6 @@ class OsimModel:
             found[joint.child] = (R_GC, p_GM - R_GC @ joint.X_CM.p)
         return found
 
-    def below(self, joint: OsimJoint) -> set[str]:
-        """Names of the bodies that a joint moves: its child and all below."""
-        found = {joint.child}
-        for other in self.joints:  # parents first
-            if other.parent in found:
-                found.add(other.child)
-        return found
-
     def motion(self, coordinate: str, body: str, p_GQ, q, poses):
         """Partial velocities of a body and of a point on it.
 
@@ -224,7 +216,11 @@ class OsimModel:
         """
         n = len(p_GQ)
         (joint,) = (j for j in self.joints if coordinate in j.coordinates)
-        if body not in self.below(joint):
+        moved = {joint.child}
+        for other in self.joints:  # parents first
+            if other.parent in moved:
+                moved.add(other.child)
+        if body not in moved:
             return np.zeros((2, n, 3))
         _, p_FM, turn, motion = joint.across(q, n, coordinate)
         R_GP, p_GP = poses[joint.parent]

@@ -55,31 +55,29 @@ class Signal:
         return replace(self, time=self.time - delay_s)
 
     def at(self, time: np.ndarray, what: str) -> np.ndarray:
-        """Values (n, joints) at times (n,); raises as `within`."""
-        at = within(self.source, self.time, time, what)
-        return resample(self.time, self.values, at)
+        """Values (n, joints) at times (n,) that at most a sample is beyond.
+
+        Raises:
+            InputError: the signal starts later or ends earlier.
+        """
+        return resample(self.time, self.values, self._within(time, what))
 
     def motion(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
         """Values and two time derivatives, each (n, joints), at times (n,)."""
-        time = within(self.source, self.time, time, "encoder angles")
+        time = self._within(time, "encoder angles")
         v, a = derivatives(self.time, self.values)
         return tuple(resample(self.time, x, time) for x in (self.values, v, a))
 
-
-def within(source: str, time, wanted, what: str) -> np.ndarray:
-    """Wanted times, clipped to a recording that is at most a sample shorter.
-
-    Raises:
-        InputError: it starts later or ends earlier by more than a sample.
-    """
-    step = time[1] - time[0]
-    if time[0] > wanted[0] + step or time[-1] < wanted[-1] - step:
-        raise InputError(
-            f"{source}: {what} cover {time[0]:g} to {time[-1]:g} s, but the "
-            f"trial runs from {wanted[0]:g} to {wanted[-1]:g} s; export the "
-            "whole trial or shorten it with start_s and end_s"
-        )
-    return np.clip(wanted, time[0], time[-1])
+    def _within(self, wanted: np.ndarray, what: str) -> np.ndarray:
+        first, last = self.time[[0, -1]]
+        step = self.time[1] - first
+        if first > wanted[0] + step or last < wanted[-1] - step:
+            raise InputError(
+                f"{self.source}: {what} cover {first:g} to {last:g} s, but the "
+                f"trial runs from {wanted[0]:g} to {wanted[-1]:g} s; export "
+                "the whole trial or shorten it with start_s and end_s"
+            )
+        return np.clip(wanted, first, last)
 
 
 def read_angles(

@@ -413,11 +413,7 @@ class Trial:
             path: where, with or without one of the two endings.
         """
         arrays, rest = _files(path)
-        np.savez(
-            arrays,
-            times=self.times,
-            **self._arrays(),
-        )
+        np.savez(arrays, times=self.times, **self._arrays())
         write_json(
             rest,
             {
