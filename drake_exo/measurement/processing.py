@@ -410,12 +410,9 @@ class Recordings:
         if load.at_m is not None:
             tree = self._subject.model.rigid.tree
             return tree.point_positions(motion.q, load.body, load.at_m)
-        longest, axes = (
-            self._laboratory.fill_gaps_s,
-            self._laboratory.marker_axes,
-        )
-        filled, _ = fill_gaps(recorded, load.markers, longest)
-        middle = axes.points(filled.of(load.markers)).mean(axis=1)
+        lab = self._laboratory
+        filled, _ = fill_gaps(recorded, load.markers, lab.fill_gaps_s)
+        middle = lab.marker_axes.points(filled.of(load.markers)).mean(axis=1)
         smooth = self._filter.smooth(middle, recorded.rate_hz, recorded.source)
         first = np.searchsorted(recorded.time, motion.time[0] - 1e-9)
         return smooth[first : first + len(motion.time)]
