@@ -392,43 +392,6 @@ def read_arrays(path: str | Path, remedy: str) -> dict[str, np.ndarray]:
         raise InputError(f"{path}: is damaged; {remedy}") from error
 
 
-def check_arrays(
-    path: str | Path,
-    arrays: Mapping[str, np.ndarray],
-    shapes: Mapping[str, tuple],
-    remedy: str,
-) -> None:
-    """Refuse arrays that are missing or of a wrong type or shape.
-
-    Args:
-        path: the file, for messages.
-        arrays: name -> array, as read.
-        shapes: name -> sizes; letters stand for sizes that must agree. A name
-            ending in ":int" must hold integers, others floats.
-        remedy: as in `read_json`.
-
-    Raises:
-        InputError: naming the first array that does not fit.
-    """
-    sizes: dict[str, int] = {}
-    for label, shape in shapes.items():
-        name, _, kind = label.partition(":")
-        x = arrays.get(name)
-        fits = (
-            x is not None
-            and x.ndim == len(shape)
-            and np.issubdtype(x.dtype, np.integer if kind else np.floating)
-            and all(
-                n == (sizes.setdefault(s, n) if isinstance(s, str) else s)
-                for n, s in zip(x.shape, shape, strict=True)
-            )
-        )
-        if not fits:
-            raise InputError(
-                f"{path}: {name} is missing or of another shape; {remedy}"
-            )
-
-
 def _jsonable(value: Any) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from drake_exo.errors import InputError
-from drake_exo.files.output import check_arrays, read_arrays
+from drake_exo.files.output import read_arrays
 from drake_exo.soles.contact.law import ARRAYS, FLAT, ContactLaw, Ground
 from drake_exo.soles.contact.linearisation import Linearisation
 from drake_exo.soles.contact.newton import (
@@ -505,7 +505,7 @@ def read_history(path: Path, remedy: str):
     data = read_arrays(path, remedy)
     wanted = _HISTORY | (_GROUND if ARRAYS[0] in data else {})
     wanted |= {"friction": ()} if "friction" in data else {}
-    check_arrays(path, data, wanted, remedy)
+    _check_arrays(path, data, wanted, remedy)
     names = ("force_W", "origin_W", "rotation_WL", "place_W", "stiffness")
     times, nodes, tets = (data[n] for n in ("times", "nodes_L", "tets"))
     history = StepHistory(*(data[name] for name in names))
@@ -527,6 +527,31 @@ def read_history(path: Path, remedy: str):
     # The contact nodes may include sides.
     mesh = replace(mesh, fixed=fixed).with_contact(touching)
     return mesh, times, history, Ground.of_arrays(data)
+
+
+def _check_arrays(path: Path, arrays, shapes, remedy: str) -> None:
+    """Refuse arrays that are missing or of a wrong type or shape.
+
+    In `shapes`, such as `_HISTORY`, letters stand for sizes that must agree. A
+    name ending in ":int" must hold integers, others floats.
+    """
+    sizes: dict[str, int] = {}
+    for label, shape in shapes.items():
+        name, _, kind = label.partition(":")
+        x = arrays.get(name)
+        fits = (
+            x is not None
+            and x.ndim == len(shape)
+            and np.issubdtype(x.dtype, np.integer if kind else np.floating)
+            and all(
+                n == (sizes.setdefault(s, n) if isinstance(s, str) else s)
+                for n, s in zip(x.shape, shape, strict=True)
+            )
+        )
+        if not fits:
+            raise InputError(
+                f"{path}: {name} is missing or of another shape; {remedy}"
+            )
 
 
 def simulate(
