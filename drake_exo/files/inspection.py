@@ -128,7 +128,7 @@ def _of_mesh(path: Path) -> Contents:
         ("triangle", "triangle"),
         ("tetra", "tetrahedron", "tetrahedra"),
     ):
-        nodes, cells = read_cells(path, kind, "export it again")
+        nodes, cells, _ = read_cells(path, kind, "export it again")
         if len(cells):
             low, high = (f(nodes[cells], axis=(0, 1)) for f in (np.min, np.max))
             size = " by ".join(f"{x:.4g}" for x in high - low)

@@ -5,7 +5,6 @@ import contextlib
 import io
 import re
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import meshio
@@ -86,28 +85,25 @@ _READERS = {".obj": _read_obj, ".stl": _read_stl, ".ply": meshio.ply.read}
 
 @kept(8)
 def read_cells(
-    path: Path,
-    cell_type: str,
-    remedy: str,
-    read: Callable[[Path], meshio.Mesh] | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+    path: Path, cell_type: str, remedy: str
+) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     """Read a mesh's nodes and its cells of one type, as read-only arrays.
 
     Args:
         path: the file.
         cell_type: meshio's name, such as "triangle".
         remedy: advice that ends the message if the file is damaged.
-        read: the file's reader, by default chosen by its suffix.
 
     Returns:
-        Nodes (n, 3), file's unit; node indices of the cells (c, k), c may be 0.
+        Nodes (n, 3), file's unit; node indices of the cells (c, k), c may be 0;
+        data of the nodes by name, as the file has them.
 
     Raises:
         InputError: unreadable or damaged, nodes that are not finite, or cells
             that refer to missing nodes.
     """
     start = read_bytes(path)
-    read = read or _READERS.get(path.suffix.lower(), meshio.read)
+    read = _READERS.get(path.suffix.lower(), meshio.read)
     if start.startswith(_MARKS):
         raise InputError(
             f"{path}: begins with a byte order mark; save it as UTF-8 without "
@@ -150,8 +146,9 @@ def read_cells(
     if not found.size:
         found = found[:0]
     found = found.astype(np.int64)
-    nodes.flags.writeable = found.flags.writeable = False
-    return nodes, found
+    for array in (nodes, found, *raw.point_data.values()):
+        array.flags.writeable = False
+    return nodes, found, raw.point_data
 
 
 def _check_gmsh(data: bytes) -> None:

@@ -97,7 +97,7 @@ def read_surface(path: Path, scan: Scan) -> Surface:
 
 @kept(8)  # every trial reads the scans of all mats
 def _surface(path: Path, unit: str, axes: Axes) -> Surface:
-    raw, triangles = read_cells(path, "triangle", "export it again")
+    raw, triangles, _ = read_cells(path, "triangle", "export it again")
     if len(triangles) == 0:
         raise InputError(f"{path}: holds no triangles; export a mesh")
     extent = float(np.ptp(raw[np.unique(triangles)], axis=0).max())

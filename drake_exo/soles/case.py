@@ -43,6 +43,7 @@ class Case(Setup):
         load: Force and ZMP of every sample.
         mesh: Mesh of the initial shape.
         start: How the sole is held just before the first contact.
+        ground: Ground that it stands on.
     """
 
     @classmethod

@@ -131,11 +131,8 @@ class Load:
                 f"numbers of samples, from 0, below {len(self.times)}"
             )
         weights = np.array(self.weights, dtype=float)
-        if (
-            len(weights) != len(self.begins)
-            or not np.isfinite(weights).all()
-            or not (weights > 0.0).all()
-        ):
+        sound = np.isfinite(weights) & (weights > 0.0)
+        if len(weights) != len(self.begins) or not sound.all():
             raise InputError(
                 f"{self.name}: weights are {self.weights}; give one above 0 "
                 f"for each of {len(self.begins)} contact phases"

@@ -382,19 +382,9 @@ def read_mesh(
             elements, no Dirichlet surface, not in metres, not long along x,
             or a top that needs an origin.
     """
-    path, said = Path(path), {}
-
-    def read(file: Path) -> meshio.Mesh:
-        raw = meshio.read(file)
-        said.update(raw.point_data)
-        return raw
-
-    nodes, tets = read_cells(
-        path,
-        "tetra",
-        "give Gmsh .msh, .vtk, .vtu or another format known to meshio",
-        read,
-    )
+    path = Path(path)
+    remedy = "give Gmsh .msh, .vtk, .vtu or another format known to meshio"
+    nodes, tets, said = read_cells(path, "tetra", remedy)
     if len(tets) == 0:
         raise InputError(
             f"{path}: no linear tetrahedra in this mesh; export 4-node tets"

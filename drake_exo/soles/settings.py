@@ -389,15 +389,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Setup:
-    """A sole, how it is held, and the step that it takes.
-
-    Attributes:
-        settings: What the case file says.
-        load: Force and ZMP of every sample.
-        mesh: Mesh of the sole; the initial shape of an optimisation.
-        start: How the sole is held just before the first contact.
-        ground: Ground that it stands on.
-    """
+    """A sole, how it is held, and the step that it takes; see `Case`."""
 
     settings: Settings
     load: Load

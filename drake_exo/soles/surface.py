@@ -143,7 +143,8 @@ def read_surface(path: Path | str, unit: Unit | None = None) -> Surface:
             neither metres nor millimetres.
     """
     path = Path(path)
-    nodes, faces = read_cells(path, "triangle", "export it again as STL or OBJ")
+    remedy = "export it again as STL or OBJ"
+    nodes, faces, _ = read_cells(path, "triangle", remedy)
     if len(faces) == 0:
         raise InputError(f"{path}: holds no triangles; export a triangle mesh")
     longest = float(np.ptp(nodes[faces.ravel()], axis=0).max())

@@ -400,13 +400,9 @@ class Gait:
     @property
     def start(self) -> np.ndarray:
         """Variables of the case's own walk, (G,)."""
-        own = self.numbers(self.robot)
-        return np.array(
-            [
-                (own[n] - low) / (high - low)
-                for n, (low, high) in self.ranges.items()
-            ]
-        )
+        own, ranges = self.numbers(self.robot), self.ranges
+        low, high = np.transpose(list(ranges.values()))
+        return (np.array([own[n] for n in ranges]) - low) / (high - low)
 
     def walk(self, number: int) -> np.ndarray:
         """Variables of the case's own walk (0) or of another start, (G,).
@@ -434,11 +430,9 @@ class Gait:
 
     def at(self, x: np.ndarray) -> Robot:
         """The walk of variables (G,)."""
-        own = self.numbers(self.robot)
-        for share, (name, (low, high)) in zip(
-            x, self.ranges.items(), strict=True
-        ):
-            own[name] = float(low + share * (high - low))
+        own, ranges = self.numbers(self.robot), self.ranges
+        low, high = np.transpose(list(ranges.values()))
+        own |= zip(ranges, (low + x * (high - low)).tolist(), strict=True)
         ankle = own.pop("aim_x"), own.pop("aim_y")
         named = {_REACH[name][0]: value for name, value in own.items()}
         return replace(self.robot, ankle_m=ankle, **named)
