@@ -294,7 +294,7 @@ class Pattern:
     def of(cls, mesh: TetMesh, nodes: np.ndarray, element: Element):
         """Pattern of free nodes, contact nodes among them; others are fixed."""
         tets, around = mesh.tets, []
-        corners = _incidence(tets, len(mesh.nodes))
+        corners = _incidence(tets)
         graph = corners.T @ corners
         if element == "smoothed":
             for owner in (mesh.edges()[1], tets):
@@ -309,12 +309,11 @@ class Pattern:
         return cls(nodes, tuple(around), graph, fronts)
 
 
-def _incidence(owner: np.ndarray, count: int | None = None) -> csr_matrix:
+def _incidence(owner: np.ndarray) -> csr_matrix:
     """Incidence of elements (rows) with their nodes or edges `owner`."""
     rows = np.repeat(np.arange(len(owner)), owner.shape[1])
     ones = np.ones(owner.size, dtype=np.int32)
-    count = owner.max() + 1 if count is None else count
-    return csr_matrix((ones, (rows, owner.ravel())), (len(owner), count))
+    return csr_matrix((ones, (rows, owner.ravel())))
 
 
 def assembled(mesh, material, pattern: Pattern) -> bsr_matrix:
