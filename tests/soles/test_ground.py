@@ -218,7 +218,7 @@ def test_gradients_on_bumps_match_differences(count, leans, monkeypatch):
     def forward(nodes, load):
         sole = Sole(mesh.with_nodes(nodes), MATERIALS["neoprene"])
         solver = ContactSolver.of(sole, law, tolerance=1e-13, ground=ground)
-        history = simulate(solver, load, start)
+        history = simulate(solver, load, start, keep=True)
         assert history.failed_steps == 0
         return sole, solver, history
 

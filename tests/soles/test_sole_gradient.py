@@ -60,7 +60,7 @@ class Setting:
         mesh = self.mesh.with_nodes(self.spline.deform(self.mesh.nodes, p))
         sole = Sole(mesh, self.material, self.element)
         solver = ContactSolver.of(sole, self.law, tolerance=1e-13)
-        history = simulate(solver, self.load, START)
+        history = simulate(solver, self.load, START, keep=True)
         assert history.failed_steps == 0
         return sole, solver, history
 

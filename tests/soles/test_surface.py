@@ -294,6 +294,17 @@ def test_a_top_that_is_nearly_flat_is_glued_whole(monkeypatch):
         sole_from_surface(nearly)
 
 
+def test_what_ends_mmg_is_told(monkeypatch):
+    """Its own words, or how its process ended, which is not begun again."""
+    flat = {"nodes": np.zeros((4, 3)), "tets": np.arange(4)[None]}
+    with pytest.raises(MmgError, match=r"^Mmg: \w"):
+        surface.run_mmg(flat | {"size": np.ones(4)})
+    job = surface.Job
+    monkeypatch.setattr(surface, "Job", lambda name, *_: job(name, "os:abort"))
+    with pytest.raises(MmgError, match=r"^Mmg ended with code -6$"):
+        surface.run_mmg(flat)
+
+
 def _words(key, rows, form="{:g}"):
     return "".join(
         f"{key} {' '.join(form.format(x) for x in row)}\n" for row in rows

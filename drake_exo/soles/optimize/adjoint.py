@@ -107,7 +107,7 @@ def gradients(
     """Derivatives of f functionals, in one backward pass over the samples.
 
     By all node positions (f, n, 3); by every sample's force and ZMP (f, N, 5).
-    All samples must have converged.
+    All samples must have converged, and their linearisations been kept.
     """
     m, count = len(sole.positions), len(load.times)
     sums = [Sensitivity(m, count) for _ in functionals]
@@ -142,10 +142,7 @@ class _Step:
         self.target = target = target.about_own_zmp(
             state.F, history.P[q], solver.ground
         )
-        self.lin = (
-            history.linear[q] if history.linear
-            else solver.linearise(state, target, history.P[q])
-        )  # fmt: skip
+        self.lin = history.linear[q]
         self.nodes = self.lin.nodes
         self.dF, self.dP, self.G = self.lin.frozen_response
         rest, ground = solver.lP[self.nodes], solver.ground
