@@ -328,7 +328,8 @@ def test_what_is_drawn_is_the_step_s(two, tmp_path, monkeypatch):
     np.testing.assert_array_equal(made["drawing"][2], peak)
     ((curves,), strike) = made["stiffness"][0].values(), made["stiffness"][1]
     assert list(curves) == ["first", "mine"] and strike == [(0, 2), (20, 21)]
-    times, tr, rot = curves["mine"]
+    names = ("time_s", *pictures.STIFFNESS)
+    times, tr, rot = (curves["mine"][name] for name in names)
     np.testing.assert_array_equal(times, two.times)
     np.testing.assert_array_equal(tr, two.sigma_max_translation)
     np.testing.assert_array_equal(rot, two.sigma_min_rotation)
