@@ -316,9 +316,11 @@ class Comparison:
 
         Includes the contact that predictions use; if all are of one subject,
         the model and the common trials' windows; and the filter of the first
-        of these trials, and the lags that were taken out of its recordings.
+        of these trials, and the lags that were taken out of its recordings. If
+        these are the same, a checksum tells whether something else made the
+        measured trials differ, such as loads, axes or a belt.
         """
-        found = []
+        found, sums = [], []
         for r in self.results:
             asked = {k: r.summary.get(k) for k in _ASKED}
             asked["accepted"] = ", ".join(asked["accepted"] or ()) or None
@@ -342,11 +344,17 @@ class Comparison:
                 for system, lag in measured[0].lags_s.items()
             }
             found.append(dict(_leaves(asked, "")))
+            loads = [w.array for t in measured for w in t.applied.values()]
+            own = [x for t in measured for x in (t.body[0], t.ground.array)]
+            sums.append(checksum([*own, *loads])[:8])
         rows = {}
         for key in dict.fromkeys(key for asked in found for key in asked):
             cells = [_plain(asked.get(key)) for asked in found]
             if len(set(cells)) > 1:
                 rows[key] = _first_difference(cells)
+        told = any(k.startswith(("window", "filter", "lag_of")) for k in rows)
+        if self._is_of_one() and len(set(sums)) > 1 and not told:
+            rows["measured trials, checksum"] = sums
         return rows
 
     def _is_of_one(self) -> bool:

@@ -16,6 +16,7 @@ from drake_exo.cli import main
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.errors import InputError
 from drake_exo.files.output import Check, Verdict, write_json
+from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.model.plant import nominal_model
 from drake_exo.report import figures
 from drake_exo.report.gathering import _labels, compare
@@ -154,6 +155,12 @@ def test_model_contact_and_filter_count_among_settings(tmp_path, trials):
         "lag_of_pressure_s": ["-", "-0.018"],
     }
     assert compare([first, other]).settings() == expected
+    # What has no name here, such as a load, shows as well.
+    box = PlanarWrench.of(np.full((len(trials[0].times), 3), -100.0))
+    loaded = [replace(trials[0], applied={"pelvis": box}), *trials[1:]]
+    lift = leave(tmp_path / "d", loaded, 0.0)
+    ((name, sums),) = compare([first, lift]).settings().items()
+    assert name == "measured trials, checksum" and len(set(sums)) == 2
     # Two people differ in all of a model.
     bert = leave(tmp_path / "c", trials, 0.0, model=light, subject="bert")
     assert list(compare([first, bert]).settings()) == ["subject"]
