@@ -87,14 +87,20 @@ class Range:
         check_range(self.nominal, self.lower, self.upper)
 
 
-def _check_not_negative(settings) -> None:
-    """Refuse ranges that reach below zero."""
-    for name, value in vars(settings).items():
-        if isinstance(value, Range) and value.lower < 0.0:
+def _ranges(settings) -> dict[str, Range]:
+    """Ranges by name, but for dicts: `schema.check` makes ranges of them.
+
+    Raises:
+        InputError: one reaches below zero.
+    """
+    found = {k: x for k, x in vars(settings).items() if isinstance(x, Range)}
+    for name, value in found.items():
+        if value.lower < 0.0:
             raise InputError(
                 f"{name}: lower bound {value.lower:g} is negative; give 0 or "
                 "more"
             )
+    return found
 
 
 @dataclass(frozen=True)
@@ -140,16 +146,14 @@ class SphereSettings:
     radius_m: Range = Range(0.032, 0.01, 0.06, free=False)
 
     def __post_init__(self):
-        _check_not_negative(self)
         # A person would sink into anything softer; smaller is no sphere.
-        for name, least, unit in (
-            ("modulus_n_m2", 1e4, "N/m^2"),
-            ("radius_m", 1e-3, "m"),
-        ):
+        least = {
+            "modulus_n_m2": {"unit": "N/m^2", "minimum": 1e4},
+            "radius_m": {"unit": "m", "minimum": 1e-3},
+        }
+        for name, given in _ranges(self).items():
             check_bounds(
-                f"{name}: lower bound",
-                getattr(self, name).lower,
-                {"unit": unit, "minimum": least},
+                f"{name}: lower bound", given.lower, least.get(name, {})
             )
 
 
@@ -481,14 +485,12 @@ class BushingSettings:
     rotational_damping: float = not_negative("N m s/rad", 0.1)
 
     def __post_init__(self):
-        if self.slip_n is not None and self.slip_n.lower <= 0.0:
+        if isinstance(self.slip_n, Range) and self.slip_n.lower <= 0.0:
             raise InputError(
                 f"slip_n: lower bound {self.slip_n.lower:g} is not a force; "
                 "give one above 0, or null for a cuff that never slips"
             )
-        _check_not_negative(self)
-        for name in ("tangential_n_m", "normal_n_m", "rotational_nm_rad"):
-            given = getattr(self, name)
+        for name, given in _ranges(self).items():
             if given.free and given.nominal == 0.0:
                 raise InputError(
                     f"{name}: nominal is 0, but the prior is a factor on the "
