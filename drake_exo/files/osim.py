@@ -21,6 +21,7 @@ from scipy.interpolate import CubicHermiteSpline, PPoly
 from scipy.spatial.transform import Rotation
 
 from drake_exo.errors import InputError
+from drake_exo.files.output import replace_file
 from drake_exo.files.tables import read_text, shown
 
 _X, _Y, _Z = (tuple(row) for row in np.eye(3))
@@ -612,11 +613,10 @@ class OsimFile:
         return self.model.find(f"BodySet/objects/Body[@name='{name}']")
 
     def write(self, path: Path) -> None:
-        """Write the model with its added elements."""
+        """Write the model with its added elements, whole or not at all."""
         ET.indent(self.root, "\t")
-        ET.ElementTree(self.root).write(
-            path, encoding="UTF-8", xml_declaration=True
-        )
+        text = ET.tostring(self.root, encoding="UTF-8", xml_declaration=True)
+        replace_file(path, text)
 
 
 def text_of(values) -> str:

@@ -1,5 +1,8 @@
 """OpenSim models as they are read: numbers, functions, poses, refusals."""
 
+import errno
+from pathlib import Path
+
 import numpy as np
 import pytest
 from osim_kinematics import Osim
@@ -279,3 +282,22 @@ def test_elements_that_are_written_are_read_as_they_were_meant(tmp_path):
         - poses["bar"][1][0] - poses["bar"][0][0] @ ends[1].p,
     ):  # fmt: skip
         np.testing.assert_allclose(frame, 0.0, atol=1e-12)
+
+
+def test_a_full_disk_keeps_the_model_that_was_there(tmp_path, monkeypatch):
+    (tmp_path / "m.osim").write_text(small_osim())
+    file = osim.OsimFile(tmp_path / "m.osim")
+    written = Path.write_bytes
+
+    def full(path, data):
+        written(path, data[:100])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OSError, match="No space"):
+        file.write(tmp_path / "m.osim")
+    assert (tmp_path / "m.osim").read_text() == small_osim()
+    assert [p.name for p in tmp_path.iterdir()] == ["m.osim"]
+    monkeypatch.undo()
+    file.write(tmp_path / "m.osim")
+    assert read_osim(tmp_path / "m.osim").bodies.keys() >= {"torso"}
