@@ -21,7 +21,6 @@ from drake_exo.calibration.clocks import (
 from drake_exo.calibration.error_model import NO_ERRORS, ErrorModel, ErrorSizes
 from drake_exo.calibration.results import (
     Origin,
-    phase_summary,
     read_calibration,
     read_trial,
 )
@@ -34,6 +33,7 @@ from drake_exo.files.output import Verdict
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.report.gathering import clocks_table
 from drake_exo.study import (
+    Calibration,
     Prediction,
     Study,
     calibrate_interaction,
@@ -255,8 +255,11 @@ def test_signals_are_spread_on_the_clocks_that_were_found(
         late(t, pressure=lag)
         for t, lag in zip(in_device.trials, (-0.03, 0.0, 0.03), strict=True)
     ]
-    summary = phase_summary("interaction", "me", regular, moved)
-    assert summary["measured_sd"] == spread(moved, in_device.model.tree)
+    found = Calibration("interaction", study, regular)
+    vars(found)["_measured"] = moved
+    told = found.summary()["measured_sd"]
+    assert told == spread(moved, in_device.model.tree)
+    assert told != spread(in_device.trials, in_device.model.tree)
 
 
 def test_a_clock_is_sure_if_it_is_known_to_ten_milliseconds():
