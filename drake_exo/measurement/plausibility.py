@@ -191,12 +191,8 @@ class Made:
     @cached_property
     def measured(self) -> np.ndarray:
         """Measured counterpart (n, 3) of `needed`."""
-        parts = [
-            share * wrench.array
-            for shares, wrench in self.trial.borne()
-            for share in shares.values()
-        ]
-        return sum(parts, self.trial.ground.array)
+        others = self.trial.loads(None).values()
+        return sum((w.array for w in others), self.trial.ground.array)
 
     def pitch_error(self, turned: bool = False) -> float:
         """RMS residual moment of Euler's law [N m].

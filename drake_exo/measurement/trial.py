@@ -339,14 +339,15 @@ class Trial:
         }
         return {name: share for name, share in parts.items() if share > 0.0}
 
-    def loads(self, root: str) -> dict[str, PlanarWrench]:
+    def loads(self, root: str | None) -> dict[str, PlanarWrench]:
         """Segment -> external wrench (n,) on it, for inverse dynamics.
 
         Args:
-            root: root segment of the model: the foot if it has one leg.
+            root: root segment of the model: the foot if it has one leg; None
+                for chair and loads alone, without the ground.
         """
         ground = {f"foot_{side}": w for side, w in self.feet.items()}
-        found = ground or {root: self.ground}
+        found = {} if root is None else ground or {root: self.ground}
         for shares, wrench in self.borne():
             for body, share in shares.items():
                 part = wrench.scaled(share)

@@ -15,7 +15,7 @@ model.
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,7 @@ from drake_exo.files.opensim import write_table
 from drake_exo.files.osim import OsimModel, Pose, read_osim
 from drake_exo.files.output import Verdict, read_json, stored
 from drake_exo.files.tables import Table
-from drake_exo.measurement.sagittal import PlanarWrench, external_loads
+from drake_exo.measurement.sagittal import external_loads
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import Person
 from drake_exo.model.osim_person import (
@@ -363,19 +363,12 @@ def write_forces(
         for copy in copies.of(f"foot{part_of}"):
             at = columns.index(f"ground_force{copy.end}_pz")
             values[:, at] = copies.aside(copy)
-    if other := _borne(trial):
-        named, more = external_loads({f"_{b}": w for b, w in other.items()})
+    if others := trial.loads(None):
+        named, more = external_loads({f"_{b}": w for b, w in others.items()})
         columns, values = columns + named, np.hstack([values, more])
     table = Table(trial.times, tuple(columns), values, in_degrees=False)
     title = f"Ground reaction of {trial.name}"
     write_table(path, table, title, mark, digits=17)
-
-
-def _borne(trial: Trial) -> dict[str, PlanarWrench]:
-    """Segment -> wrench (n,) of chair and loads on it, of both legs."""
-    found = replace(trial, feet={}).loads("")
-    del found[""]  # the ground's
-    return found
 
 
 def own_forces(copies: Copies, contact: ContactModel, trial: Trial):
@@ -599,7 +592,7 @@ def export_opensim(
             f"{trial.name}: chair and loads act on the {body} by "
             f"ground_force_{body}"
             for trial in trials
-            for body in _borne(trial)
+            for body in trial.loads(None)
         ),
     )
     return Export(files, lines, differences)
