@@ -169,7 +169,7 @@ _SETTINGS = {
 }
 _PARTS = "name", "model", "sole", "device"
 _KEPT = "file", "root", "path", "_trials", "_loaded", "_judged"
-# Per second; twice as many change lags by 0.3 ms, 25 by up to 3 ms.
+# Per second; twice as many change lags by up to 0.5 ms, 25 by up to 3 ms.
 _NODES_FOR_LAGS = 50.0
 
 

@@ -38,8 +38,13 @@ class Coordinates:
     coupling: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self):
-        for name in ("names", "device"):  # lists never equal a model's tuples
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+        given = {
+            "names": self.names,
+            "device": self.device,
+            "coupling": map(tuple, self.coupling),
+        }
+        for name, value in given.items():  # lists never equal a model's tuples
+            object.__setattr__(self, name, tuple(value))
 
     def __len__(self) -> int:
         return len(self.names)

@@ -1,5 +1,7 @@
 """Names of coordinates, read from plants, and columns by name."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform
@@ -157,4 +159,7 @@ def test_other_trees_are_refused(root, joint, words):
 def test_lists_of_names_are_those_of_the_model(coupled):
     listed = Coordinates(list(coupled.names), list(coupled.device))
     assert listed == Coordinates(coupled.names, coupled.device)
+    rows = np.eye(3)
+    listed = replace(coupled, coupling=rows.tolist())
+    assert listed == replace(coupled, coupling=tuple(map(tuple, rows)))
     assert coupled.names[:3] == listed.root
