@@ -19,6 +19,7 @@ from drake_exo.collocation.transcription import stands_for
 from drake_exo.contact.bushing import CALIBRATED, ROTATION
 from drake_exo.contact.diagram import build_diagram, integrate
 from drake_exo.contact.systems import Chair_, TrackingController
+from drake_exo.errors import InputError
 from drake_exo.files.output import Check
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
@@ -353,8 +354,18 @@ def rmsd(found: Trial, measured: Trial, loads: bool = True) -> dict:
         (x_mm, z_mm, pitch_deg); grf_n (horizontal, vertical) and cop_mm, by
         foot if there are two; moments_nm by joint and interaction_n (normal
         force) by cuff, empty if not measured.
+
+    Raises:
+        InputError: the measured trial is of another model.
     """
-    at, names = measured.sample(found.times), found.coordinates
+    names = found.coordinates
+    if measured.coordinates != names:
+        raise InputError(
+            f"trial {measured.name} has the coordinates "
+            f"{', '.join(measured.coordinates.names)}, but {found.name} has "
+            f"{', '.join(names.names)}; compare trials of one model"
+        )
+    at = measured.sample(found.times)
     times = found.times
     d_q, d_v = rms(found.q - at.q, times), rms(found.v - at.v, times)
     grf, cop = {}, {}

@@ -9,9 +9,11 @@ from measured_trials import JOINTS, NAMES, TREE, moved, seen
 
 from drake_exo.calibration import audit
 from drake_exo.calibration.audit import rms, rmsd
+from drake_exo.errors import InputError
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.assembly import Assembly, Person
+from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import scale_human
 
@@ -109,6 +111,21 @@ def test_what_means_nothing_or_is_not_measured_is_left_out():
     assert rmsd(found, without)["moments_nm"] == {}
     bare = replace(found, cuffs={})
     assert rmsd(bare, measured)["interaction_n"] == {}
+
+
+def test_a_trial_of_another_model_is_not_compared():
+    measured = seen()
+    other = replace(
+        measured,
+        coordinates=Coordinates(NAMES.names[:6]),
+        q=measured.q[:, :6],
+        v=measured.v[:, :6],
+        a=measured.a[:, :6],
+        moments=None,
+        friction=None,
+    )
+    with pytest.raises(InputError, match=r"hip, but .* exo_hip; compare"):
+        rmsd(measured, other)
 
 
 def test_a_centre_of_pressure_counts_only_under_load():
