@@ -904,7 +904,4 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ("job = job.told(**{job.given: values})", "pass"),
         ("line != self._last.get(job.name)", "True"),
     ],
-    "drake_exo/cli/sensitivity.py": [
-        ('r[f"{s}.z"] - r[f"{s}.radius"],', 'r[f"{s}.z"],'),
-    ],
 }

@@ -15,8 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from drake_exo.calibration.audit import rms
-from drake_exo.calibration.phases import FootGroundCalibration
 from drake_exo.calibration.problem import (
     PhaseProblem,
     PhaseResult,
@@ -469,67 +467,6 @@ def analyse(names: list[str], sensitivity: np.ndarray) -> Identifiability:
         directions=directions,
         cosines=unit.T @ unit,
     )
-
-
-_RADII = (0.75, 1.0, 1.25)  # multiples of the settings' radii
-
-
-def radius_profile(result: PhaseResult):
-    """Phase A again with other radii: the spheres' centres move instead.
-
-    The prior and bounds of a centre's height move by the change of radius, so
-    that they stay the same for the lowest point.
-
-    Args:
-        result: Phase A's.
-
-    Yields:
-        For each factor a row: radius_factor, success, objective,
-        vertical_force_rmsd_n, and radius and z of every sphere by name.
-    """
-    problem = result.problem
-    for factor in _RADII:
-        rise = {
-            p.name.removesuffix("radius"): (factor - 1.0) * p.nominal
-            for p in problem.parameters
-            if p.name.endswith(".radius")
-        }
-        parameters = []
-        for p in problem.parameters:
-            if p.name.endswith(".radius"):
-                p = ContactParameter.fixed(p.name, p.unit, factor * p.nominal)
-            elif p.name.endswith(".z"):
-                dz = rise[p.name.removesuffix("z")]
-                p = replace(
-                    p,
-                    nominal=p.nominal + dz,
-                    lower=p.lower + dz,
-                    upper=p.upper + dz,
-                )
-            parameters.append(p)
-        found = FootGroundCalibration(
-            problem.model, problem.trials, problem.settings, parameters
-        ).solve()
-        if found.solution.was_stopped:
-            raise KeyboardInterrupt
-        success, found = found.success, found.unsealed()
-        errors = [
-            rms(
-                t.ground.force_z - trial.sample(t.times).ground.force_z, t.times
-            )
-            for t, trial in zip(found.trials, problem.trials, strict=True)
-        ]
-        yield {
-            "radius_factor": factor,
-            "success": success,
-            "objective": found.solution.objective,
-            "vertical_force_rmsd_n": float(np.mean(errors)),
-            **{
-                p.name: p.nominal
-                for p in found.parameters
-                if p.name.endswith((".radius", ".z"))
-            },
-        }
 
 
 # Standard deviation of a cuff's force, as a share, that no bushing represents:

@@ -1,21 +1,17 @@
 """`drake-exo sensitivity`: which contact parameters the data determine.
 
 It solves Phase A, then analyses all parameters of the spheres, including the
-radius. It also calibrates again with other radii, to show that the same forces
-come out with the spheres' centres moved.
+radius.
 """
 
 import argparse
 
 import numpy as np
 
-from drake_exo.calibration.uncertainty import (
-    contact_sensitivity,
-    radius_profile,
-)
+from drake_exo.calibration.uncertainty import contact_sensitivity
 from drake_exo.cli.calibrate import add_study_arguments, report_failure
 from drake_exo.errors import InputError
-from drake_exo.files.output import Progress, prepare_output_folder, write_json
+from drake_exo.files.output import prepare_output_folder, write_json
 from drake_exo.report.gathering import format_table
 from drake_exo.study import calibrate_foot_ground, read_study
 
@@ -43,25 +39,17 @@ def run(args: argparse.Namespace) -> int:
         )
         if not calibrated.success:
             return folder.end(report_failure(calibrated.solution))
-        result = calibrated.result
-        found = contact_sensitivity(result)
-        progress = Progress("sensitivity")
-        rows = []
-        for row in radius_profile(result):
-            rows.append(row)
-            factor = row["radius_factor"]
-            progress.update(f"radius x {factor:g}", done=len(rows))
-        _print(found, rows)
+        found = contact_sensitivity(calibrated.result)
+        _print(found)
         write_json(
-            out / "sensitivity.json",
-            {**vars(found), "advice": found.advice(), "radius_profile": rows},
+            out / "sensitivity.json", {**vars(found), "advice": found.advice()}
         )
     print(verdict.text())
     print(f"results in {args.out}")
     return verdict.exit_code
 
 
-def _print(found, rows) -> None:
+def _print(found) -> None:
     print("Influence on the forces, in noise, of a quarter of the range")
     print(
         format_table(
@@ -82,32 +70,3 @@ def _print(found, rows) -> None:
     print(format_table(["singular value", "direction"], table))
     for line in found.advice():
         print(line)
-    spheres = [n.removesuffix(".z") for n in rows[0] if n.endswith(".z")]
-    print("Calibrated again with other radii; z and lowest point in mm")
-    print(
-        format_table(
-            [
-                "radius ×",
-                "objective",
-                "F_z RMSD [N]",
-                *(f"{s}{what}" for s in spheres for what in (".z", " lowest")),
-            ],
-            [
-                [
-                    f"{r['radius_factor']:g}"
-                    + ("" if r["success"] else " (failed)"),
-                    r["objective"],
-                    r["vertical_force_rmsd_n"],
-                    *(
-                        1e3 * value
-                        for s in spheres
-                        for value in (
-                            r[f"{s}.z"],
-                            r[f"{s}.z"] - r[f"{s}.radius"],
-                        )
-                    ),
-                ]
-                for r in rows
-            ],
-        )
-    )
