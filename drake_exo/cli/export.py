@@ -46,11 +46,6 @@ def run(args: argparse.Namespace) -> int:
     )
     for line in done.lines:
         print(line)
-    for trial, off in done.difference_n.items():
-        print(
-            f"{trial}: a foot's force by the exported numbers and states is "
-            f"within {off:.2g} N of the calibrated one"
-        )
     for path in done.files:
         print(path)
     return 0

@@ -8,9 +8,7 @@ stiffness, damping, mass and inertia.
 Movements become states of the model. Inverse kinematics puts its pelvis and
 feet where the planar ones are, so that a knee that slides as it flexes does not
 move the contacts: hip, knee and ankle differ from planar pins instead. If a leg
-has six coordinates, its foot is also kept upright. As a check, contact forces
-at those states are evaluated from the written file alone, without the planar
-model.
+has six coordinates, its foot is also kept upright.
 """
 
 import os
@@ -26,7 +24,6 @@ from drake_exo.calibration.results import (
     read_trial,
 )
 from drake_exo.contact.bushing import BushingParameters
-from drake_exo.contact.hunt_crossley import SimbodyConstants, sphere_wrench
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.errors import InputError
 from drake_exo.files import osim as xml
@@ -371,73 +368,6 @@ def write_forces(
     write_table(path, table, title, mark, digits=17)
 
 
-def own_forces(copies: Copies, contact: ContactModel, trial: Trial):
-    """Side -> force (n, 2) [N] by the calibrated law at the solution."""
-    found = {side: np.zeros((len(trial.times), 2)) for side in ENDS}
-    for segment, ground in contact.ground.under(copies.model).items():
-        for s in ground.spheres.values():
-            place, _, motion = copies.tree.link_motion(
-                trial.q, trial.v, segment, (s.x, s.z)
-            )
-            wrench = sphere_wrench(
-                "simbody",
-                *place,
-                *motion,
-                s.stiffness,
-                s.dissipation,
-                s.radius,
-                ground.constants,
-            )
-            force = np.column_stack([wrench.force_x, wrench.force_z])
-            side = segment.partition("_")[2]
-            for name in (side,) if side else ENDS:
-                found[name] += force if side else 0.5 * force
-    return found
-
-
-def exported_forces(file: xml.OsimFile, osim: OsimModel, q, v):
-    """Side -> force in the plane (n, 2) [N] by the exported numbers."""
-    n = len(next(iter(q.values())))
-    poses = osim.poses(q, n)
-    found = {side: np.zeros((n, 2)) for side in ENDS}
-    kind = "SmoothSphereHalfSpaceForce"
-    for force in file.model.iterfind(f"ForceSet/objects/{kind}"):
-        name = force.get("name")
-        if not name.startswith("contact_"):
-            continue
-        shape = file.model.find(
-            f"ContactGeometrySet/objects/ContactSphere[@name='{name}_sphere']"
-        )
-        body = shape.findtext("socket_frame").rpartition("/")[2]
-        R, p = poses[body]
-        centre = p + R @ np.array(shape.findtext("location").split(), float)
-        turn, motion = np.zeros((2, n, 3))
-        for coordinate, speed in v.items():
-            rates = osim.motion(coordinate, body, centre, q, poses)
-            turn += rates[0] * speed[:, None]
-            motion += rates[1] * speed[:, None]
-        constants = SimbodyConstants(
-            **{
-                key: float(force.findtext(key))
-                for key in vars(SimbodyConstants())
-                if key != "friction_rounding"
-            }
-        )
-        wrench = sphere_wrench(
-            "simbody",
-            *centre[:, :2].T,
-            *motion[:, :2].T,
-            turn[:, 2],
-            float(force.findtext("stiffness")),
-            float(force.findtext("dissipation")),
-            float(shape.findtext("radius")),
-            constants,
-        )
-        side = next(s for s, end in ENDS.items() if body.endswith(end))
-        found[side] += np.column_stack([wrench.force_x, wrench.force_z])
-    return found
-
-
 def turned_off(copies: Copies, q, trial: Trial) -> dict[str, float]:
     """Leg's coordinate -> largest difference from the pin's angle [rad]."""
     found, tree, osim = {}, copies.tree, copies.person.osim
@@ -473,14 +403,10 @@ class Export:
     Attributes:
         files: the model first.
         lines: what was carried over and how, in sentences.
-        difference_n: trial -> largest difference [N] over time of a foot's
-            force between our law at the solution and the exported numbers at
-            the exported states.
     """
 
     files: tuple[Path, ...]
     lines: tuple[str, ...]
-    difference_n: dict[str, float]
 
 
 def _contact(folder: Path, accept: Sequence[str]) -> tuple[ContactModel, str]:
@@ -562,7 +488,7 @@ def export_opensim(
     out.parent.mkdir(parents=True, exist_ok=True)
     file.write(out)
     written = read_osim(out)
-    differences, largest = {}, {}
+    largest: dict[str, float] = {}
     for trial, states, forces in zip(
         trials, files[1::2], files[2::2], strict=True
     ):
@@ -573,10 +499,6 @@ def export_opensim(
         ]
         write_states(states, written, trial, q, v, energies, mark)
         write_forces(forces, copies, trial, mark)
-        own = own_forces(copies, contact, trial)
-        theirs = exported_forces(xml.OsimFile(out), written, q, v)
-        off = max(np.abs(own[s] - theirs[s]).max() for s in own)
-        differences[trial.name] = float(off)
         for name, angle in turned_off(copies, q, trial).items():
             largest[name] = max(angle, largest.get(name, 0.0))
     lines = (
@@ -595,7 +517,7 @@ def export_opensim(
             for body in trial.loads(None)
         ),
     )
-    return Export(files, lines, differences)
+    return Export(files, lines)
 
 
 def _carried(folder: Path, model: Model, person: OsimPerson):
