@@ -23,11 +23,10 @@ import sys
 import tempfile
 import threading
 import time
-from collections import ChainMap, Counter
+from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from graphlib import CycleError, TopologicalSorter
 from multiprocessing.connection import wait as wait_for
 from pathlib import Path
 from typing import Any, Literal, Protocol, TextIO
@@ -153,11 +152,10 @@ def run_jobs(
 ) -> dict[str, Ended]:
     """Run jobs, each once those that it needs are done.
 
-    Of the jobs that may begin, that with the longest chain behind it goes
-    first (Hu, Operations Research 9(6), 1961), then in the order given.
+    Of the jobs that may begin, the first one given begins first.
 
     Args:
-        jobs: with unique names.
+        jobs: with unique names; each needs only jobs of these and `before`.
         pool: that runs them; left open.
         on_end: called with every job as it ends.
         progress: updated about once a second.
@@ -166,13 +164,8 @@ def run_jobs(
 
     Returns:
         name -> how it ended, in the order given.
-
-    Raises:
-        InputError: a job needs itself or a missing one, or shares a name.
     """
     before = before or {}
-    chain = _chains(jobs, before)
-    order = sorted(jobs, key=lambda job: -chain[job.name])
     ended: dict[str, Ended] = {}
 
     def end(row: Ended) -> None:
@@ -180,7 +173,7 @@ def run_jobs(
         if on_end is not None:
             on_end(row)
 
-    waiting = list(order)
+    waiting = list(jobs)
     while len(ended) < len(jobs):
         waiting = _begin(waiting, ChainMap(ended, before), pool, end)
         if len(ended) == len(jobs):
@@ -212,32 +205,6 @@ def _begin(waiting, ended, pool, end) -> list[Job]:
         else:
             left.append(job)
     return left
-
-
-def _chains(jobs: Sequence[Job], before: Mapping[str, Ended]) -> dict[str, int]:
-    """Length of the longest chain of jobs that begins with each, by name."""
-    names = Counter(job.name for job in jobs)
-    for name, count in names.items():
-        if count > 1:
-            raise InputError(f"two jobs are named {name!r}")
-    followers: dict[str, list[str]] = {name: [] for name in names}
-    for job in jobs:
-        for need in job.needs:
-            if need in names:
-                followers[need].append(job.name)
-            elif need not in before:
-                raise InputError(
-                    f"{job.name} needs {need!r}, which is not a job"
-                )
-    found: dict[str, int] = {}
-    try:
-        for name in TopologicalSorter(followers).static_order():
-            behind = (found[f] for f in followers[name])
-            found[name] = 1 + max(behind, default=0)
-    except CycleError as error:
-        name = error.args[1][0]
-        raise InputError(f"{name} needs itself, by way of others") from error
-    return found
 
 
 class BatchProgress:
