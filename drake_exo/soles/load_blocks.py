@@ -18,7 +18,6 @@ from drake_exo.soles.loads import (
     MOST_SAMPLES,
     Load,
     numbers_of,
-    read_columns,
     read_csv,
     text_lines,
 )
@@ -243,7 +242,6 @@ def share_double_support(zmp, phase, mine):
 
 # Ground reaction of a planar prediction: time, forward, up, CoP forward.
 STO_COLUMNS = ("time", "ground_force_vx", "ground_force_vy", "ground_force_px")
-PREDICTION_COLUMNS = ("time_s", "grf_x_n", "grf_z_n", "cop_x_m")
 
 
 @dataclass(frozen=True)
@@ -251,9 +249,8 @@ class Prediction:
     """A prediction of an exoskeleton study, in the sagittal plane.
 
     `drake-exo predict` and `calibrate` write `NAME_ground_reaction.sto`
-    (x forward, y up; `STO_COLUMNS`); a CSV file whose header names
-    `PREDICTION_COLUMNS` in any order among others will do as well. Both hold
-    the ground reaction of both feet and its centre of pressure.
+    (x forward, y up; `STO_COLUMNS`), the ground reaction of both feet and its
+    centre of pressure.
 
     Attributes:
         origin_m: Sole's centre in the laboratory.
@@ -269,13 +266,8 @@ class Prediction:
     def load(self, root: Path) -> Load:
         """Read the load; `file` is relative to `root`."""
         path = root / self.file
-        if path.suffix.lower() == ".csv":
-            columns = PREDICTION_COLUMNS
-            table = read_columns(path, columns)
-        else:
-            columns = STO_COLUMNS
-            table = _opensim_columns(path, columns[1:])
-        t, fx, fz, x = (table[name] for name in columns)
+        table = _opensim_columns(path, STO_COLUMNS[1:])
+        t, fx, fz, x = (table[name] for name in STO_COLUMNS)
         keep = _loaded(
             self.share * fz, self.least_force_n,
             f"{path}: a foot never carries {self.least_force_n:g} N; "

@@ -12,7 +12,7 @@ from drake_exo.files.opensim import write_table
 from drake_exo.soles import loads
 from drake_exo.soles.animation import SoleMotion
 from drake_exo.soles.load_blocks import (
-    PREDICTION_COLUMNS,
+    STO_COLUMNS,
     ForcePlate,
     OneFoot,
     Playback,
@@ -138,12 +138,11 @@ def soles() -> dict:
             lambda p: Playback(p, "left", 0, 43.0).load(p.parent),
         ),
         "load prediction": (
-            "a.csv",
+            "a.sto",
             "text",
             text(
                 timed(4) * [1.0, 1.0, 100.0, 1.0],
-                ",".join(PREDICTION_COLUMNS) + "\n",
-                ",",
+                "inDegrees=no\nendheader\n" + "\t".join(STO_COLUMNS) + "\n",
             ),
             lambda p: Prediction(p, (0.0, 0.0)).load(p.parent),
         ),

@@ -80,23 +80,11 @@ def test_a_sole_is_simulated_under_a_prediction(folder):
     np.testing.assert_allclose(centre, load.zmp[:, 0] - 0.07, atol=1e-7)
 
 
-def test_a_plain_csv_says_the_same(folder):
-    load = _read(folder, "rise_ground_reaction.sto")
-    rows = ["cop_x_m,time_s,grf_z_n,grf_x_n"]
-    for t, F, z in zip(load.times, load.force, load.zmp, strict=True):
-        rows.append(f"{z[0]:.12g},{t:.12g},{2 * F[2]:.12g},{2 * F[0]:.12g}")
-    (folder / "rise.csv").write_text("\n".join(rows))
-    other = _read(folder, "rise.csv")
-    np.testing.assert_allclose(other.force, load.force, rtol=1e-9)
-    np.testing.assert_allclose(other.zmp, load.zmp, rtol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
         ("a.sto", "x\ntime a\n0 1\n", "endheader"),
         ("a.sto", "x\nendheader\ntime a\n0 1\n", "ground_force_vx"),
-        ("a.csv", "time_s,grf_x_n\n0,1\n", "grf_z_n"),
     ],
 )
 def test_other_tables_are_refused(tmp_path, name, text, words):
