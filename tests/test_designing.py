@@ -29,7 +29,6 @@ from drake_exo.calibration.settings import (
     Solver,
 )
 from drake_exo.calibration.wearers import Wearer
-from drake_exo.cli import design as command
 from drake_exo.cli import main
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.contact.strap import CuffDesign, Design, read_design
@@ -762,16 +761,3 @@ def test_a_wearer_given_twice_is_one_sentence(capsys, tmp_path):
     twice = [str(tmp_path / "a.yaml"), f"{tmp_path}/./a.yaml"]
     assert main(["design", *twice, "--out", str(tmp_path / "out")]) == 2
     assert "give each wearer once" in capsys.readouterr().err
-
-
-def test_a_design_of_a_further_study_is_told_not_to_be_used():
-    """Nobody's limits are dropped in silence."""
-    own = DesignSettings(limits=DesignLimits(pressure_kpa=1.0))
-    studies = [SimpleNamespace(design=d) for d in (own, own, DesignSettings())]
-    paths = ["a", "b", "c"]
-    assert all(c.holds for c in command._overruled(paths, studies))
-    studies[0] = SimpleNamespace(design=DesignSettings())
-    told = command._overruled(paths, studies)
-    assert [(c.where, c.holds, c.level) for c in told] == [
-        ("b", False, "note"), ("c", True, "note"),
-    ]  # fmt: skip

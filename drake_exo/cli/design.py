@@ -9,11 +9,9 @@ read it.
 
 import argparse
 import os
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from drake_exo.calibration.settings import DesignSettings
 from drake_exo.cli import add_accept, add_out, add_study
 from drake_exo.cli.calibrate import report_failure, told_stopped
 from drake_exo.contact.parameters import ContactModel
@@ -106,7 +104,6 @@ def run(args: argparse.Namespace) -> int:
         contact, made_of = study.calibrated(folder, args.accept)
         contacts.append(contact)
         checks += made_of
-    checks += _overruled(args.study, studies)
     for study in studies:
         if args.response:
             study.design = replace(study.design, response=args.response)
@@ -138,24 +135,6 @@ def run(args: argparse.Namespace) -> int:
         folder.end(STOPPED_CODE if stopped else verdict.exit_code)
     print(f"results in {folder.path}")
     return STOPPED_CODE if stopped else verdict.exit_code
-
-
-def _overruled(
-    paths: Sequence[Path], studies: Sequence[RecordedStudy]
-) -> list[Check]:
-    """Notes that tell of `design` in further studies, which is not used."""
-    usual = studies[0].design, DesignSettings()
-    return [
-        Check(
-            "design.settings",
-            study.design in usual,
-            where=str(path),
-            sentence="has a 'design' of its own, which is not used: that of "
-            "the first study holds for all wearers",
-            level="note",
-        )
-        for path, study in zip(paths[1:], studies[1:], strict=True)
-    ]
 
 
 def _laboratory(path: Path, study: RecordedStudy) -> dict:
