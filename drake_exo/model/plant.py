@@ -11,8 +11,7 @@ and hip flexion are positive. Seen from the right, counter-clockwise (about
 
 import re
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from itertools import product
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -53,7 +52,6 @@ from drake_exo.model.description import (
 from drake_exo.model.device_file import (
     add_device,
     check_planar,
-    connected,
     link_names,
     missing_link,
     placed,
@@ -471,75 +469,37 @@ def _seen_from(model: Model, base: str, body: str) -> Weld:
 def _riding(model: Model, tree: PlanarTree) -> dict[str, str]:
     """Link of the device -> segment of the person that it moves with.
 
-    That is the segment it is welded or strapped to. Any other link is assigned
-    to the segment that strains the cuffs least while the person's joints bend;
-    if that does not decide, to that of its neighbour towards the weld.
+    That is the segment it, or a link that it is fixed to, is welded or strapped
+    to (by an open cuff, too).
+
+    Raises:
+        InputError: a link is neither.
     """
     assembly = model.assembly
     plant = model.plant()
     rides = {link: weld.to for link, weld in assembly.device.welds.items()}
     for cuff in assembly.cuffs.values():
         rides.setdefault(cuff.device, cuff.human)
+    if assembly.is_fitted:  # its links are named as segments
+        rides = {DEVICE + name: name for name in CUFFED} | rides
     joints = [plant.get_joint(i) for i in plant.GetJointIndices()]
-    # Links fixed to a link are assigned before those hinged to it.
-    stiff = [
+    fixed = [
         (j.parent_body().name(), j.child_body().name())
         for j in joints
         if not j.num_positions()
     ]
-    ends = stiff + [tree.joints[name] for name in tree.coordinates.device]
-    segments = assembly.human.segments
-    # Outward as far as possible before one joint inward, so that the order of
-    # joints in the file does not matter.
-    held: set[str] = set()
-    for edges in (stiff, ends):
-        held = set(rides)
-        inward = [(b, a) for a, b in edges]
-        for a, b in ([*edges * len(edges), *inward]) * len(edges):
-            if a in rides and b not in (*rides, *segments):
-                rides[b] = rides[a]
-    free = [name for name in rides if name not in held]
-    inside = [edge for edge in ends if set(edge) <= set(free)]
-    person = [tree.joints[name] for name in tree.coordinates.human]
-    for chain in connected(free, inside):
-        met = {n for edge in ends if set(edge) & chain for n in edge}
-        between = _between(person, {rides[n] for n in met})
-        groups: dict[tuple, list[str]] = {}  # links that turn together
-        for name in filter(chain.__contains__, free):
-            groups.setdefault(tuple(tree.turning(name)), []).append(name)
-        choices = [rides]  # first, so it wins ties
-        for on in product(between, repeat=len(groups)):
-            moved = zip(groups.values(), on, strict=True)
-            choices.append(rides | {n: s for g, s in moved for n in g})
-        rides = min(choices, key=partial(_strain, assembly, tree))
+    for a, b in [*fixed, *((b, a) for a, b in fixed)] * len(fixed):
+        if a in rides and b not in (*rides, *assembly.human.segments):
+            rides[b] = rides[a]
+    for link in (n for j in tree.coordinates.device for n in tree.joints[j]):
+        if link not in (*rides, *assembly.human.segments):
+            raise InputError(
+                f"{assembly.device.name}: link {link!r} is neither welded nor "
+                "strapped, so nothing says which segment it moves with; give "
+                "it a cuff, with 'open: true' if it bears nothing"
+            )
     shells = [name + _SHELL for name in assembly.cuffs]
     return {link: s for link, s in rides.items() if link not in shells}
-
-
-def _between(joints, segments) -> list[str]:
-    """Segments on the paths between some of them, over joints (a, b)."""
-    edges = list(joints)
-    while True:
-        ends = [name for edge in edges for name in edge]
-        loose = {n for n in ends if ends.count(n) == 1} - set(segments)
-        if not loose:
-            return list(dict.fromkeys([*segments, *ends]))
-        edges = [edge for edge in edges if not loose & set(edge)]
-
-
-def _strain(assembly: Assembly, tree: PlanarTree, rides) -> float:
-    """Norm of cuffs' deflections as each human joint bends by 1 rad [m]."""
-    names = replace(tree.coordinates, coupling=_coupling(tree, rides))
-    bent = np.hstack(
-        [np.zeros((len(names.human), 3)), np.eye(len(names.human))]
-    )
-    q = names.aligned(bent)
-    off = [
-        tree.point_positions(q, _held(assembly, name))
-        - tree.point_positions(q, cuff.human)
-        for name, cuff in assembly.cuffs.items()
-    ]
-    return round(float(np.linalg.norm(off)), 9)  # beyond that it is rounding
 
 
 def _coupling(tree: PlanarTree, rides) -> tuple[tuple[float, ...], ...]:

@@ -199,9 +199,12 @@ def test_joints_may_be_written_in_any_order():
     down = [joint.format(*e, *e, -1) for e in ends]
     up = [joint.format(*e, *e[::-1], 1) for e in ends]
     orders = [*itertools.permutations(down), *itertools.permutations(up)]
+    held = {n: CuffLinks("pelvis", n, (0.0, 0.1), open=True) for n in "ab"}
+    worn = replace(HIP, cuffs=HIP.cuffs | held)
     for order in orders:
         text = "".join([*map(link.format, chain), *order])
-        model = Model(brought_in(HIP, f"<robot name='r'>{text}</robot>"), HUMAN)
+        text = f"<robot name='r'>{text}</robot>"
+        model = Model(brought_in(worn, text), HUMAN)
         names = model.coordinates
         turned = dict(zip(names.device, names.turned_by.tolist(), strict=True))
         assert turned.pop("b_bar") == [0.0, 0.0, 1.0]
@@ -983,12 +986,16 @@ PAD = f"""<robot name="r">
 <origin xyz="0 0 -0.18"/><axis xyz="0 1 0"/></joint></robot>"""
 
 
-def test_a_link_between_goes_where_the_cuffs_stay_slack():
+def test_a_link_between_goes_with_the_segment_that_an_open_cuff_tells():
     """A pad hinged to a hip exoskeleton's bar: the motor turns, not it."""
     assembly = Assembly(
         device=DeviceFile({"belt": "pelvis"}, Path("pad.urdf")),
         cuffs={"thigh": CuffLinks("thigh", "pad")},
     )
+    with pytest.raises(InputError, match="link 'bar' is neither welded nor"):
+        _ = Model(brought_in(assembly, PAD), HUMAN).tree
+    cuffs = assembly.cuffs | {"bar": CuffLinks("thigh", "bar", open=True)}
+    assembly = replace(assembly, cuffs=cuffs)
     model = Model(brought_in(assembly, PAD), HUMAN)
     names = model.coordinates
     assert names.turned_by.tolist() == [[0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]
@@ -1007,7 +1014,7 @@ def test_a_link_between_goes_where_the_cuffs_stay_slack():
     np.testing.assert_allclose(*ends, atol=1e-12)
 
 
-def test_bars_without_straps_go_with_the_segments_beside_them():
+def test_bars_without_straps_go_with_the_segments_of_open_cuffs():
     """From the foot up to the pelvis, joints on the person's: slack."""
     spans = HUMAN.shank.length_m, HUMAN.thigh.length_m
     links = ("shoe", "shank_bar", "thigh_bar", "belt")
@@ -1024,7 +1031,11 @@ def test_bars_without_straps_go_with_the_segments_beside_them():
     )
     assembly = Assembly(
         device=DeviceFile({"shoe": "foot"}, Path("up.urdf")),
-        cuffs={"waist": CuffLinks("pelvis", "belt")},
+        cuffs={
+            "waist": CuffLinks("pelvis", "belt"),
+            "shank": CuffLinks("shank", "shank_bar", open=True),
+            "thigh": CuffLinks("thigh", "thigh_bar", open=True),
+        },
     )
     text = f'<robot name="r">{text}</robot>'
     names = Model(brought_in(assembly, text), HUMAN).coordinates
