@@ -252,7 +252,7 @@ def _shared(edges):
 def _united(path, nodes, faces) -> np.ndarray:
     """Corners (t, 3, 3) of the union of all parts, as a slicer makes it.
 
-    A part turned inside out within another is a hollow; it may hold a third.
+    A part turned inside out within one other is a hollow.
     """
     parts = solid(nodes, faces).decompose()
     if len(parts) < 2:
@@ -264,33 +264,15 @@ def _united(path, nodes, faces) -> np.ndarray:
             places, which = np.unique(inner, axis=0, return_inverse=True)
             hollows.append(solid(places, which.reshape(-1, 3)))
     parts = [part for part in parts if part.volume() > 0]
-    if not hollows:
-        return corners_of(Manifold.batch_boolean(parts, OpType.Add))
-    # A point is filled if it lies in more parts than hollows.
-    parts, hollows = _layers(parts), _layers(hollows)
-    parts += [Manifold()] * (len(hollows) - len(parts))
-    hollows += [Manifold()] * (len(parts) - len(hollows))
-    pairs = list(zip(parts, hollows, strict=True))
-    beyond = sum((hollow - part).volume() for part, hollow in pairs)
-    if beyond > 1e-6 * parts[0].volume():
-        raise InputError(
-            f"{path}: a part that is turned inside out is not a hollow within "
-            "another; turn its normals outwards"
-        )
-    filled = [part - hollow for part, hollow in pairs]
-    return corners_of(Manifold.batch_boolean(filled, OpType.Add))
-
-
-def _layers(bodies: list[Manifold]) -> list[Manifold]:
-    """The points in at least one body, in at least two, and so on."""
-    layers = []
-    for body in bodies:
-        rest = body
-        for k, layer in enumerate(layers):
-            layers[k], rest = layer + rest, layer ^ rest
-        if not rest.is_empty():
-            layers.append(rest)
-    return layers
+    for hollow in hollows:
+        within = sum((hollow ^ part).volume() for part in parts)
+        if abs(within / hollow.volume() - 1.0) > 1e-6:
+            raise InputError(
+                f"{path}: a part that is turned inside out is not a hollow "
+                "within one other; turn its normals outwards, or leave it out"
+            )
+    body = Manifold.batch_boolean(parts, OpType.Add)
+    return corners_of(body - Manifold.batch_boolean(hollows, OpType.Add))
 
 
 def sole_from_surface(

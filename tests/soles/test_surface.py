@@ -421,14 +421,11 @@ def test_parts_that_overlap_are_one(tmp_path):
     assert volume(inner) == pytest.approx(480.0)
     assert volume(inner[:, ::-1]) == pytest.approx(460.0)
     assert volume(inner[:, ::-1], lugs[0]) == pytest.approx(464.0)
-    # What fills a hollow, or stands in it, a second body of all of it.
+    # Neither outside of all parts, nor with another part in it.
     post = _box((0.01, 0.01, 0.02)) - [0.0, 0.0, 0.005]
-    assert volume(inner[:, ::-1], inner) == pytest.approx(480.0)
-    assert volume(inner[:, ::-1], post) == pytest.approx(461.0)
-    twice = (inner[:, ::-1], sole, inner[:, ::-1])
-    assert volume(*twice) == pytest.approx(460.0)
-    with pytest.raises(InputError, match=r"tread\.stl: a part .* not a hollow"):
-        volume(lugs[0][:, ::-1])
+    for parts in ([lugs[0][:, ::-1]], [inner[:, ::-1], post]):
+        with pytest.raises(InputError, match=r"tread\.stl: a part .* not a ho"):
+            volume(*parts)
 
 
 def _mirrored(corners):
