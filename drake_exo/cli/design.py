@@ -48,11 +48,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_out(parser, required=True)
     parser.add_argument(
-        "--response",
-        choices=["own", "free"],
-        help="how the person responds, instead of the study's design.response",
-    )
-    parser.add_argument(
         "--parts",
         action="store_true",
         help="also tell what places, straps and assistance reach each alone",
@@ -104,9 +99,6 @@ def run(args: argparse.Namespace) -> int:
         contact, made_of = study.calibrated(folder, args.accept)
         contacts.append(contact)
         checks += made_of
-    for study in studies:
-        if args.response:
-            study.design = replace(study.design, response=args.response)
     laboratory = None
     if args.verify:
         laboratory = _laboratory(args.study[0], studies[0])
