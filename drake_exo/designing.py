@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
 
+from drake_exo.calibration.clocks import Clock, retimed, timed
 from drake_exo.calibration.design import DesignProblem, DesignResult, works
 from drake_exo.calibration.design_cuffs import fewer
 from drake_exo.calibration.design_variables import GAINS, Variable, design_of
@@ -56,7 +58,7 @@ from drake_exo.files.output import Progress
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import STOPPED_BY_USER
-from drake_exo.study import Calibration, Study
+from drake_exo.study import Calibration, Study, find_clocks
 
 # Mats and model differ by no more than this factor, or one of them is wrong.
 _DIFFER = 2.0
@@ -118,10 +120,12 @@ def design(
     if settings.population is not None:
         for who in worn:
             check_population(who)
-    before, wearers = {}, []
+    before, wearers, clocks = {}, [], {}
     for own, who in zip(studies, worn, strict=True):
         own.warn_of(who.trials)
-        before[who.name] = movements(own, who.contact, settings)
+        found = find_clocks(own, who.trials, who.contact)
+        clocks[who.name] = found
+        before[who.name] = movements(own, who.contact, settings, clocks=found)
         wearers.append(wearer(who.name, own, who.contact, before[who.name]))
     everybody = [w for own in wearers for w in _wearers(own, settings)]
     today = DesignProblem.of_today(everybody, settings).solve(
@@ -138,7 +142,12 @@ def design(
     def forecast(result: DesignResult) -> float:
         built[result.problem.without] = moved = {
             w.name: movements(
-                own, w.contact, settings, result.design, (w, before[w.name])
+                own,
+                w.contact,
+                settings,
+                result.design,
+                (w, before[w.name]),
+                clocks[w.name],
             )
             for w, own in zip(wearers, studies, strict=True)
         }
@@ -289,6 +298,7 @@ def movements(
     settings: DesignSettings,
     design: Design | None = None,
     today: tuple[Wearer, Sequence[Moved]] | None = None,
+    clocks: Sequence[Clock] = (),
 ) -> list[Moved]:
     """Own movements of a study's trials on its cuffs, or on a design.
 
@@ -300,6 +310,7 @@ def movements(
         today: with a design, who wears it, and the own movements on the cuffs
             of today: its joints answer where the device goes another way than
             there.
+        clocks: of the trials, as found; torques are on that of the encoders.
 
     Raises:
         InputError: a movement cannot be solved; or likewise.
@@ -307,7 +318,7 @@ def movements(
     check_knows_cuffs(contact, study.model)
     is_today, design = design is None, design or Design()
     design.check(study.model)
-    trials = study.trials("prediction")
+    trials = [retimed(t, clocks) for t in study.trials("prediction")]
     built = design.contact(contact)
     # Its noise and errors, on the grid of the design.
     phase = replace(study.prediction, solver=settings.solver, guess="data")
@@ -324,14 +335,14 @@ def movements(
             OwnMovement(
                 design.model(study.model),
                 [posed],
-                built,
+                timed(built, trial, clocks),
                 phase,
                 answers={trial.name: more},
             ),
             f"trial {trial.name}: the movement does not fit these cuffs",
         )
         seen = (
-            how_it_was(trial, study.model, contact, phase)
+            how_it_was(trial, study.model, timed(contact, trial, clocks), phase)
             if is_today and "encoders" in trial.provenance
             else None
         )
@@ -341,7 +352,10 @@ def movements(
 
 
 def on_design(
-    study: Study, contact: ContactModel, design: Design
+    study: Study,
+    contact: ContactModel,
+    design: Design,
+    clocks: Sequence[Clock] = (),
 ) -> tuple[Study, ContactModel]:
     """Study and contact with a design: trials for prediction alone.
 
@@ -354,13 +368,14 @@ def on_design(
             solved.
     """
     design.check(study.model)
-    trials = study.trials("prediction")
+    trials = tuple(retimed(t, clocks) for t in study.trials("prediction"))
     who = Wearer(study.name, study.model, contact, trials, device=study.device)
     worn = [assisted(t, design, contact, who.passive(t)) for t in trials]
     if all(trial.moments is not None for trial in trials):
-        before = movements(study, contact, study.design)
+        moved = partial(movements, study, contact, study.design, clocks=clocks)
+        before = moved()
         who = wearer(study.name, study, contact, before)
-        after = movements(study, contact, study.design, design, (who, before))
+        after = moved(design, (who, before))
         worn = [
             with_more(
                 own,

@@ -24,11 +24,11 @@ from drake_exo.calibration.clocks import (
     Clock,
     Timing,
     clocks_of,
-    left,
     of_trial,
     phase_checks,
     retimed,
     settle,
+    timed,
 )
 from drake_exo.calibration.phases import (
     FootGroundCalibration,
@@ -1108,11 +1108,7 @@ def predict(
         check_type(clock, Clock, "clocks")
     own = tuple(of_trial(trial, clocks))
     trial = retimed(trial, own)
-    scaled = known.scaled(scale_interaction)
-    if scaled.posterior is not None:
-        both = scaled.posterior.beside(left(trial, own))
-        scaled = replace(scaled, posterior=both)
-
+    scaled = timed(known.scaled(scale_interaction), trial, own)
     settings = schema.checked(
         settings, PredictionSettings, "settings", study.prediction
     )

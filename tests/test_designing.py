@@ -16,6 +16,7 @@ from unmarked import unmarked
 import drake_exo as dx
 from drake_exo import designed, designing
 from drake_exo.calibration import design_cuffs
+from drake_exo.calibration.clocks import Clock, retimed
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_cuffs import Hold, Tried
 from drake_exo.calibration.design_variables import Variable
@@ -30,7 +31,7 @@ from drake_exo.calibration.settings import (
 )
 from drake_exo.calibration.wearers import Wearer
 from drake_exo.cli import main
-from drake_exo.contact.parameters import nominal_contact
+from drake_exo.contact.parameters import Posterior, nominal_contact
 from drake_exo.contact.strap import CuffDesign, Design, read_design
 from drake_exo.designed import Designed, Moved, Peak
 from drake_exo.designing import front, on_design
@@ -488,6 +489,41 @@ def test_migration_is_what_encoders_tell():
     less = [Moved(tilted(2.4), None, trial, tilted(2.0))]
     assert set(designing.slid(less, model, contact).values()) == {1.0}
     assert designing.slid(moved[2:], model, contact) == {}
+
+
+def test_a_device_s_torques_are_on_the_clock_that_is_found(monkeypatch):
+    """By 24 ms too early, a drive seemed to do 27 % more work in squats."""
+    made = synthetic.rises_in_device(1, nodes_per_second=20)
+    late = {"delays_s": {"encoders": 0.0}, "clocks": {"encoders": "unknown"}}
+    (trial,) = trials = [replace(made.trials[0], provenance=late)]
+    clocks = [Clock(trial.name, "encoders", 0.03, 0.004)]
+    expected = retimed(trial, clocks)
+    assert np.abs(expected.moments - trial.moments).max() > 0.01
+    own, posed = dx.Study(made.model, trials, name="somebody"), []
+
+    def first(problem, _):
+        posed.append(problem)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(designing, "find_clocks", lambda *_: clocks)
+    monkeypatch.setattr(designing, "solved", first)
+    known = Posterior((), np.zeros(0), np.zeros((0, 0)))
+    contact = replace(made.contact, posterior=known)
+    for begin in (
+        lambda: dx.design(own, contact, SETTINGS),
+        lambda: on_design(own, contact, Design(), clocks),
+    ):
+        with pytest.raises(KeyboardInterrupt):
+            begin()
+    assert len(posed) == 2
+    for problem in posed:
+        (used,) = problem.trials
+        np.testing.assert_allclose(used.moments, expected.moments, atol=1e-9)
+        # The prior of the lag that is left is no longer that of the recording.
+        mean, covariance = problem.errors.prior()
+        k = problem.errors.names.index(f"{trial.name}.encoder_clock")
+        assert mean[k] == pytest.approx(0.0, abs=1e-12)
+        assert covariance[k, k] == pytest.approx(0.004**2)
 
 
 def test_springs_answer_once_on_a_design(monkeypatch):

@@ -121,6 +121,16 @@ def left(trial: Trial, own: Sequence[Clock]) -> Posterior:
     )
 
 
+def timed(
+    contact: ContactModel, trial: Trial, clocks: Iterable[Clock]
+) -> ContactModel:
+    """The contact, whose posterior, if any, also tells of a trial's clocks."""
+    if contact.posterior is None:
+        return contact
+    both = contact.posterior.beside(left(trial, of_trial(trial, clocks)))
+    return replace(contact, posterior=both)
+
+
 def of_trial(trial: Trial, clocks: Iterable[Clock]) -> list[Clock]:
     """Those of some clocks that are the trial's."""
     return [c for c in clocks if c.trial == trial.name]

@@ -139,7 +139,7 @@ def run(args: argparse.Namespace) -> int:
         # By the cuffs that were worn, not the design's.
         clocks = find_clocks(study, study.trials("prediction"), contact)
         usual = worn.contact(uncalibrated(study.model, contact))
-        study, contact = on_design(study, contact, worn)
+        study, contact = on_design(study, contact, worn, clocks)
     folder = prepare_output_folder(args.out, args.force, args.resume, reads)
     with folder as out:
         code = write_predictions(
