@@ -29,7 +29,7 @@ from drake_exo.cli.calibrate import (
     to_resume,
 )
 from drake_exo.contact.parameters import ContactModel
-from drake_exo.contact.strap import read_design
+from drake_exo.contact.strap import Design, read_design
 from drake_exo.designing import on_design
 from drake_exo.errors import InputError, reason
 from drake_exo.files.output import (
@@ -154,6 +154,7 @@ def run(args: argparse.Namespace) -> int:
             accepted=args.accept,
             clocks=clocks,
             usual=usual,
+            worn=worn,
         )
         folder.end(code)
     print(f"results in {folder.path}{to_resume(code)}")
@@ -173,11 +174,12 @@ def write_predictions(
     accepted: Sequence[str] = (),
     clocks: Sequence[Clock] | None = None,
     usual: ContactModel | None = None,
+    worn: Design | None = None,
 ) -> int:
     """Predict every trial for prediction to a folder; returns the exit code.
 
     `usual` is the contact to compare with, by default nominal cuffs. It is
-    given with a design, in whose device nothing was measured.
+    given with a design, `worn`, in whose device nothing was measured.
     """
     trials = study.trials("prediction")
     of = inputs(
@@ -254,6 +256,7 @@ def write_predictions(
         "inputs": of,
         "scale_interaction": scale_interaction,
         "controller": controller_name,
+        "design": worn and {j: asdict(x) for j, x in worn.given.items()},
         **_summary(study, found, trials, refused),
     }
     if not designed:

@@ -268,7 +268,10 @@ def _is_number(value: Any) -> bool:
 
 
 # Keys of summary.json that say how a result was asked for.
-_ASKED = ("subject", "settings", "scale_interaction", "controller", "accepted")
+_ASKED = (
+    *("subject", "settings", "scale_interaction", "controller", "design"),
+    "accepted",
+)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from drake_exo.cli import main
 from drake_exo.cli.calibrate import inputs
 from drake_exo.cli.predict import _accuracy, _summary, write_predictions
 from drake_exo.contact.parameters import Posterior, nominal_contact
+from drake_exo.contact.strap import Design, Gains
 from drake_exo.errors import InputError
 from drake_exo.files.output import prepare_output_folder, read_json
 from drake_exo.measurement.sagittal import PlanarWrench
@@ -249,9 +250,13 @@ def test_differences_from_another_device_say_so(
     study = Study(made.model, made.trials, prediction=settings)
     audit = Audit("rise1", 0.0, 0.0, (0.0, 0.0), 0.0)
     monkeypatch.setattr(Prediction, "audit", lambda found: audit)
-    usual = made.contact if designed else None
+    more = {"usual": made.contact, "worn": Design(gains={"exo_hip": Gains()})}
     with undrawn():
-        write_predictions(study, made.contact, tmp_path, usual=usual)
+        write_predictions(
+            study, made.contact, tmp_path, **(more if designed else {})
+        )
+    told = read_json(tmp_path / "summary.json", "")["design"]
+    assert (told and told["exo_hip"]["support"]) == (1.0 if designed else None)
     printed = capsys.readouterr().out
     for text in ((tmp_path / "rmsd.txt").read_text(), printed):
         assert "movements start from" in text

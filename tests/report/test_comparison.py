@@ -161,6 +161,11 @@ def test_model_contact_and_filter_count_among_settings(tmp_path, trials):
     lift = leave(tmp_path / "d", loaded, 0.0)
     ((name, sums),) = compare([first, lift]).settings().items()
     assert name == "measured trials, checksum" and len(set(sums)) == 2
+    # As do the torques of a design, which its contact does not tell.
+    factors = {"design": {"exo_knee": {"factor": [1.2, 0.9]}}}
+    knee = leave(tmp_path / "e", trials, 0.0, **factors)
+    expected = {"design.exo_knee.factor": ["-", "(1.2, 0.9)"]}
+    assert compare([first, knee]).settings() == expected
     # Two people differ in all of a model.
     bert = leave(tmp_path / "c", trials, 0.0, model=light, subject="bert")
     assert list(compare([first, bert]).settings()) == ["subject"]
