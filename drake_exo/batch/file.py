@@ -342,7 +342,7 @@ def _step(path: Path, key: str, place, part: str):
         known = list(map(str, place)) if isinstance(place, dict) else []
     raise InputError(
         f"{path}: has no key {key!r} to sweep: {part!r} is unknown"
-        f"{nearest(part, known)}"
+        f"{nearest(part, known) or '; give it in the file'}"
     )
 
 

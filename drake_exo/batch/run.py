@@ -422,8 +422,7 @@ def run_batch(
         if todo:  # before hours of work
             for key in dict.fromkeys(k for v in batch.variants() for k in v):
                 check_key(file_class(is_sole(key)), key)
-                if any(map(str.isdecimal, key.split("."))):
-                    _check_place(key, tasks)
+                _check_place(key, tasks)
             _check_options(batch, function_of(parse))
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from error
@@ -474,7 +473,7 @@ def _done(tasks: list[Task], out: Path) -> dict[str, Outcome]:
 
 
 def _check_place(key: str, tasks: Sequence[Task]) -> None:
-    """Refuse a key with a list index that none of the files has."""
+    """Refuse a key in a list or a named group that none of the files has."""
     wrong = {}
     for task in tasks:
         if key not in task.changes or task.source in wrong:

@@ -192,6 +192,16 @@ def test_a_bad_batch_file_ends_with_two(tmp_path, capsys):
     study = Path(__file__).parents[1] / "studies" / "opencap_sts1.yaml"
     for name in ("a", "b"):
         shutil.copy(study, tmp_path / f"{name}.yaml")
+    # A cuff of another device that no file names, too.
+    key = "interaction.cuffs.low.normal_n_m.nominal"
+    write(
+        path,
+        f"steps: [check]\nstudies: [a.yaml, b.yaml]\nsweep: {{{key}: [5000]}}",
+    )
+    assert main(["batch", str(path), "--out", str(out)]) == 2
+    told = f"a.yaml: has no key {key!r} to sweep: 'low' is unknown; give it in"
+    assert told in capsys.readouterr().err
+    assert not out.exists()
     write(
         path,
         "steps: [check]\nstudies: [a.yaml, b.yaml]\n"
