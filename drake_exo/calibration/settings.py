@@ -788,7 +788,7 @@ class DesignLimits:
 
     Attributes:
         normal_n: force of a cuff across the limb.
-        mean_n: mean of that force over the time of all of a wearer's trials.
+        mean_n: mean of that force over time, then over a wearer's trials.
         rate_n_s: how fast that force rises or falls.
         shear_n: force of a cuff along the limb.
         pressure_kpa: mean pressure: force across the limb over the cuff's area.
