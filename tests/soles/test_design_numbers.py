@@ -61,6 +61,18 @@ def test_a_design_is_beside_its_initial_shape(design):
     assert list(told["multipliers"].values()) == list(best.multipliers)
 
 
+def test_a_load_s_c_is_over_the_size_of_the_first_one(design):
+    weighty = copy(design)
+    cost = replace(design.setup.settings.cost, weight=1e6)  # c < 0
+    settings = replace(design.setup.settings, cost=cost)
+    setup = replace(design.setup, settings=settings)
+    weighty.first = replace(design.first, setup=setup)
+    weighty.step = replace(design.step, setup=setup)
+    (load,) = weighty.summary()["loads"]
+    assert load["c_initial"] < 0
+    assert load["ratio"] == pytest.approx(load["c"] / -load["c_initial"])
+
+
 def test_all_stages_count(design):
     """Two of them: what was iterated in each, all simulations, the last.
 

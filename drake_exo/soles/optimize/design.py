@@ -169,7 +169,7 @@ class Design:
             )
         }  # fmt: skip
         row["loads"] = [
-            mine | {"c_initial": its["c"], "ratio": mine["c"] / its["c"]}
+            mine | {"c_initial": its["c"], "ratio": mine["c"] / abs(its["c"])}
             for mine, its in zip(now["loads"], first.loads(), strict=True)
         ]
         last = self.optima[-1] if self.optima else None
