@@ -26,7 +26,7 @@ import numpy as np
 from scipy.sparse import bsr_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_type
 from drake_exo.files.output import write_csv, write_text
 from drake_exo.soles.contact.law import (
     FLAT,
@@ -489,7 +489,11 @@ def compare_strains(
         `samples`: the figures of both at the first, middle and last sample of
         heel strike, numbered as in the load (1, 11 and 21 of the paper's 21),
         NaN where there is no equilibrium.
+
+    Raises:
+        InputError: `setup` is no case.
     """
+    check_type(setup, Setup, "setup")
     mesh = setup.mesh.touching_everywhere()
     sole = Sole(mesh, setup.settings.material.material(), "linear")
     load, start = setup.load, setup.start

@@ -770,7 +770,7 @@ def sole_samples(source: Step | Path | str) -> SoleSamples:
         name, ground = source.setup.name, source.setup.ground
         mesh, history = source.sole.mesh, source.history
     else:
-        name = Path(source) / HISTORY
+        name = path_of(source, "source") / HISTORY
         mesh, _, history, ground = read_history(name, remedy)
     good = history.converged
     if not good.any():

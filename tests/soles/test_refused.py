@@ -107,8 +107,13 @@ def test_parts_of_another_type_in_python():
     case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
     with pytest.raises(InputError, match=r"load is array.* give a Load"):
         replace(case, load=np.zeros((3, 6))).simulate()
+    step = case.simulate()
     with pytest.raises(InputError, match="other is 3; give a Step"):
-        case.simulate().plot(other=3)
+        step.plot(other=3)
+    with pytest.raises(InputError, match=r"setup is Step\(.* give a Setup"):
+        dx.soles.compare_strains(step)
+    with pytest.raises(InputError, match=r"source is Case\(.* give a path"):
+        dx.soles.sole_samples(case)
 
 
 def test_ground_in_millimetres():
