@@ -4,8 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from drake_exo.errors import InputError, path_of
+from drake_exo.errors import InputError, check_type, path_of
 from drake_exo.files import schema
+from drake_exo.soles.mesh import TetMesh, checked_mesh
 from drake_exo.soles.optimize.design import Design
 from drake_exo.soles.optimize.files import Checkpoint, read_checkpoint
 from drake_exo.soles.optimize.search import in_own_walk, optimise
@@ -99,9 +100,9 @@ class Case(Setup):
 
         Raises:
             InputError: The load's ZMP leaves the sole, or its force leaves
-                the friction cone.
+                the friction cone; or a mesh made in Python is not sound.
         """
-        self.check_load()
+        self._check()
         return Step.of(self, progress=progress)
 
     def optimize(
@@ -114,8 +115,8 @@ class Case(Setup):
         """Find the best shape for the step, from several starts, in stages.
 
         Args:
-            folder: Existing folder in which to keep checkpoint.json, which is
-                replaced every few iterations; None keeps none.
+            folder: Where to keep checkpoint.json, which is replaced every few
+                iterations; made if it does not exist. None keeps none.
             say: Called with one line of progress now and then.
             resume: Earlier checkpoint to go on from, or the folder it is in.
             at_once: Number of processes that search the starts; with 1 this
@@ -125,7 +126,7 @@ class Case(Setup):
             InputError: The checkpoint is damaged or of another case; or the
                 load cannot be carried, as in `simulate`.
         """
-        self.check_load()
+        self._check()
         if not isinstance(resume, Checkpoint | None):
             resume = read_checkpoint(path_of(resume, "resume"))
         if resume is not None and resume.case not in ("", self.name):
@@ -143,3 +144,9 @@ class Case(Setup):
         folder = None if folder is None else path_of(folder, "folder")
         say = say or (lambda text: None)
         return optimise(self, folder, say, resume, at_once)
+
+    def _check(self) -> None:
+        """Refuse what a case made in Python may hold, and a file may not."""
+        check_type(self.mesh, TetMesh, "mesh")
+        checked_mesh(self.mesh.nodes, self.mesh.tets, self.mesh.fixed, "mesh")
+        self.check_load()

@@ -250,7 +250,7 @@ class Prediction:
 
     `drake-exo predict` and `calibrate` write `NAME_ground_reaction.sto`
     (x forward, y up; `STO_COLUMNS`), the ground reaction of both feet and its
-    centre of pressure.
+    centre of pressure. Samples are taken evenly, as far apart as most rows.
 
     Attributes:
         origin_m: Sole's centre in the laboratory.
@@ -267,7 +267,13 @@ class Prediction:
         """Read the load; `file` is relative to `root`."""
         path = root / self.file
         table = _opensim_columns(path, STO_COLUMNS[1:])
-        t, fx, fz, x = (table[name] for name in STO_COLUMNS)
+        # A prediction's grid is finer in places; c sums over samples.
+        rows = np.stack([table[name] for name in STO_COLUMNS])
+        if rows.shape[1] < 2:
+            raise InputError(f"{path}: holds one row; give a whole prediction")
+        step = np.median(np.diff(rows[0]))
+        even = np.arange(rows[0, 0], rows[0, -1] + 0.5 * step, step)
+        t, fx, fz, x = (np.interp(even, rows[0], row) for row in rows)
         keep = _loaded(
             self.share * fz, self.least_force_n,
             f"{path}: a foot never carries {self.least_force_n:g} N; "

@@ -20,6 +20,9 @@ from scipy.sparse.csgraph import connected_components
 from drake_exo.errors import InputError
 from drake_exo.files.mesh import read_cells
 
+# Of a mesh: numbers, and how many in a row.
+_ARRAYS = {"nodes": (float, (3,)), "tets": (int, (4,)), "fixed": (int, ())}
+
 # The four faces of a tetrahedron, wound so that normals point outwards.
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
@@ -48,11 +51,17 @@ class TetMesh:
     897 cm³
 
     Attributes:
-        nodes: Positions in the sole frame [m], (n, 3); read-only.
+        nodes: Positions in the sole frame [m], (n, 3).
         tets: Node indices of the tetrahedra, positively oriented, (e, 4).
         fixed: Sorted indices of the nodes that move with the foot.
         lost: Part of the area of an STL or OBJ that the mesh does not follow;
             None if the mesh was not made from such a file.
+
+    Arrays are copies that cannot be written to.
+
+    Raises:
+        InputError: An array has another shape, other numbers, or holds indices
+            of nodes that do not exist.
     """
 
     nodes: np.ndarray
@@ -61,9 +70,28 @@ class TetMesh:
     lost: float | None = None
 
     def __post_init__(self):
-        nodes = np.array(self.nodes, float)
-        nodes.flags.writeable = False
-        object.__setattr__(self, "nodes", nodes)
+        for name, (kind, columns) in _ARRAYS.items():
+            given = np.asarray(getattr(self, name))
+            of_kind = np.can_cast(given.dtype, kind, "same_kind")
+            shape = (*given.shape[:1], *columns)
+            if given.dtype == bool or not of_kind or given.shape != shape:
+                raise InputError(
+                    f"mesh: {name} is an array of {given.dtype}, "
+                    f"{given.shape}; give {kind.__name__} of the shape "
+                    f"{('n', *columns)}".replace("'", "")
+                )
+            values = np.array(given, kind)
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+        for name in ("tets", "fixed"):
+            nodes = getattr(self, name)
+            if nodes.size and not 0 <= nodes.min() <= nodes.max() < len(
+                self.nodes
+            ):
+                raise InputError(
+                    f"mesh: {name} holds {nodes.min()} to {nodes.max()}; give "
+                    f"indices of its {len(self.nodes)} nodes"
+                )
 
     def __repr__(self) -> str:
         return f"TetMesh({len(self.nodes)} nodes, {len(self.tets)} tets)"
@@ -483,11 +511,7 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
         InputError: Inverted, flat or repeated elements, a wrong size,
             unconnected parts, no top or no underside.
     """
-    mesh = TetMesh(
-        np.ascontiguousarray(nodes, dtype=float),
-        np.ascontiguousarray(tets, dtype=np.int64),
-        np.sort(np.asarray(fixed, dtype=np.int64)),
-    )
+    mesh = TetMesh(nodes, tets, np.sort(fixed))
     floor = 1e-9 * np.median(np.abs(mesh.volumes))
     bad = np.flatnonzero(mesh.volumes <= floor)
     if len(bad):

@@ -30,21 +30,23 @@ COUNT = 40
 @pytest.fixture
 def folder(tmp_path):
     """What `drake-exo predict` leaves of a rise that ends in the air."""
-    t = np.linspace(0.0, 1.5, COUNT)
-    up = 600 + 100 * np.sin(4 * t)
-    up[-5:] = [90, 60, 20, 5, 0]  # both feet
-    forward = 0.05 * up
-    cop = 0.05 + 0.03 * t
-    names = Coordinates(("foot_x", "foot_z", "foot_pitch", "ankle"))
-    still, ground = np.zeros((COUNT, 4)), np.column_stack([forward, up])
-    wrench = PlanarWrench(ground, -cop * up)
-    moments = np.zeros((COUNT, 1))
-    write_trial(
-        tmp_path,
-        Trial("rise", names, t, still, still, still, wrench, moments=moments),
-    )
+    write_rise(tmp_path, np.linspace(0.0, 1.5, COUNT))
     (tmp_path / "case.yaml").write_text(CASE)
     return tmp_path
+
+
+def write_rise(folder, t):
+    up = 600 + 100 * np.sin(4 * t)
+    up[-5:] = [90, 60, 20, 5, 0]  # both feet
+    cop = 0.05 + 0.03 * t
+    names = Coordinates(("foot_x", "foot_z", "foot_pitch", "ankle"))
+    still, ground = np.zeros((len(t), 4)), np.column_stack([0.05 * up, up])
+    wrench = PlanarWrench(ground, -cop * up)
+    moments = np.zeros((len(t), 1))
+    write_trial(
+        folder,
+        Trial("rise", names, t, still, still, still, wrench, moments=moments),
+    )
 
 
 def _read(folder, name, **more):
@@ -60,6 +62,22 @@ def test_half_the_ground_reaction_bears_on_one_foot(folder):
     )
     assert np.abs(load.zmp[:, 1]).max() == 0.0
     assert np.abs(load.force[:, 1]).max() == 0.0
+
+
+def test_a_grid_that_is_finer_in_places_is_sampled_evenly(folder):
+    t = np.linspace(0.0, 1.5, COUNT)
+    write_rise(folder, np.sort([*t, *0.5 * (t[9:20] + t[10:21])]))
+    load = _read(folder, "rise_ground_reaction.sto")
+    np.testing.assert_allclose(np.diff(load.times), 1.5 / 39, rtol=1e-6)
+    up = 600 + 100 * np.sin(4 * load.times)
+    np.testing.assert_allclose(load.force[:30, 2], 0.5 * up[:30], rtol=1e-6)
+    path = folder / "rise_ground_reaction.sto"
+    head = path.read_text().splitlines()
+    rows = head.index("endheader") + 3
+    text = "\n".join(x for x in head[:rows] if "nRows" not in x)
+    path.write_text(text)
+    with pytest.raises(InputError, match="holds one row"):
+        _read(folder, path.name)
 
 
 @pytest.mark.slow

@@ -103,6 +103,30 @@ def test_a_load_given_in_python_is_checked_as_a_file_s(changed, words):
             run()
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda m: {"nodes": 1e3 * m.nodes}, "lengths are in metres"),
+        (lambda m: {"tets": m.tets[:, [1, 0, 2, 3]]}, "inverted or flat"),
+        (lambda m: {"nodes": [*m.nodes, [0, 0, -0.01]]}, "2 unconnected"),
+        (lambda m: {"tets": 1.0 * m.tets}, r"float64.* give int .*\(n, 4\)"),
+        (lambda m: {"tets": m.tets + 1}, "1 to 60; give indices of its 60"),
+        (lambda m: {"fixed": m.nodes[:, 2] == 0.0}, r"array of bool, \(60,\)"),
+    ],
+)
+def test_a_mesh_made_in_python_is_checked_as_a_file_s(change, words):
+    case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    for run in (dx.soles.Case.simulate, dx.soles.Case.optimize):
+        with pytest.raises(InputError, match=f"mesh: .*{words}"):
+            run(replace(case, mesh=replace(case.mesh, **change(case.mesh))))
+    mesh = replace(case.mesh, tets=case.mesh.tets.tolist())
+    assert replace(case, mesh=mesh).simulate().summary() == (
+        case.simulate().summary()
+    )
+    with pytest.raises(ValueError, match="read-only"):
+        mesh.tets[0] = 0
+
+
 def test_parts_of_another_type_in_python():
     case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
     with pytest.raises(InputError, match=r"load is array.* give a Load"):
