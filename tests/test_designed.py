@@ -597,6 +597,11 @@ def test_points_of_a_front_that_nobody_would_take_are_told(
     for words in ("0.25 (dominated)", "0.75 (failed)", "after 4 points"):
         assert words in printed
     assert (tmp_path / "front.png").is_file()
+    monkeypatch.setattr(command, "front", lambda _: [])
+    (tmp_path / "none").mkdir()
+    assert not command._write_front(made, tmp_path / "none")
+    assert capsys.readouterr().out == "stopped by the user after 0 points\n"
+    assert not [*(tmp_path / "none").iterdir()]
 
 
 def test_wearers_stand_for_others(made, monkeypatch):

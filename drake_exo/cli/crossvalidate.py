@@ -71,7 +71,10 @@ def run(args: argparse.Namespace) -> int:
     folder = prepare_output_folder(args.out, args.force, reads=study.reads)
     with folder as out:
         for trial in trials:
-            row, found = fold(study, trial.name)
+            try:
+                row, found = fold(study, trial.name)
+            except KeyboardInterrupt:  # between solves
+                row, found = _unsolved(trial.name, True), None
             folds.append(row)
             if found is not None:
                 clocks += found.clocks
@@ -112,11 +115,9 @@ def fold(study: Study, name: str) -> tuple[dict, Prediction | None]:
     trials = study.trials("calibration")
     (left,) = (t for t in trials if t.name == name)
     others = [t for t in trials if t.name != name]
-    row = {"trial": name, "rmsd": None, "rmsd_uncalibrated": None}
 
     def failed(solution):
-        told = {"success": False, "stopped": solution.was_stopped}
-        return row | told, None
+        return _unsolved(name, solution.was_stopped), None
 
     ground = calibrate_foot_ground(study, others)
     if not ground.success:
@@ -132,11 +133,17 @@ def fold(study: Study, name: str) -> tuple[dict, Prediction | None]:
         return failed(usual.solution)
     # Nominal cuffs cannot tell a clock: both use the one found.
     measured = own.timed(left)
-    row |= {
+    row = {
         "rmsd": own.rmsd(measured),
         "rmsd_uncalibrated": usual.rmsd(measured),
     }
-    return row | {"success": True, "stopped": False}, own
+    told = {"trial": name, "success": True, "stopped": False}
+    return row | told, own
+
+
+def _unsolved(name: str, stopped: bool) -> dict:
+    none = {"rmsd": None, "rmsd_uncalibrated": None}
+    return none | {"trial": name, "success": False, "stopped": stopped}
 
 
 def verdict(folds: list[dict], alone: Sequence[str] = ()) -> dict:

@@ -193,6 +193,9 @@ def _write_front(made: Designed, out: Path) -> bool:
     """Compute, print and write the front; whether all its points are done."""
     rows = front(made)
     whole = len(rows) == len(SHARES)
+    if not rows:
+        print(told_stopped(True, 0).lstrip())
+        return False
     write_json(out / "front.json", rows)
     print(
         format_table(

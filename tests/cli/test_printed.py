@@ -76,6 +76,8 @@ def left_out(monkeypatch):
 
     def run(out, force=False, **stopped):
         def fold(study, name):
+            if isinstance(stop := stopped.get(name), KeyboardInterrupt):
+                raise stop
             mean = {"interaction_n": {"pelvis": 3.0}}
             usual = {"interaction_n": {"pelvis": 12.0}}
             row = {
@@ -128,6 +130,10 @@ def test_crossvalidation_goes_over_all_unless_it_is_stopped(left_out, tmp_path):
     assert [f["trial"] for f in summary["folds"]] == ["a", "b"]
     code, summary = left_out(tmp_path / "failed", c=False)
     assert code == 1 and len(summary["folds"]) == 3
+    # Between solves, too: what is left would look like the whole.
+    code, summary = left_out(tmp_path / "between", b=KeyboardInterrupt())
+    assert code == STOPPED_CODE and summary["verdict"] == "not solved"
+    assert [f["success"] for f in summary["folds"]] == [True, False]
 
 
 def test_a_crossvalidation_tells_the_clocks_of_trials_left_out(
