@@ -65,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
         )
     plausible = study.gate("calibration", args.accept)
     alone = [c for t in trials for c in t.cuffs if with_mats[c] == 1]
-    folds: list[dict] = []
+    # What is not solved yet does not hold: a run may be killed at any time.
+    folds = {t.name: _unsolved(t.name, False) for t in trials}
     clocks: list[Clock] = []
     notes: list[Check] = []
     folder = prepare_output_folder(args.out, args.force, reads=study.reads)
@@ -75,25 +76,25 @@ def run(args: argparse.Namespace) -> int:
                 row, found = fold(study, trial.name)
             except KeyboardInterrupt:  # between solves
                 row, found = _unsolved(trial.name, True), None
-            folds.append(row)
+            folds[trial.name] = row
+            rows = list(folds.values())
             if found is not None:
                 clocks += found.clocks
                 notes += clock_checks(found.result.problem.trials, found.clocks)
             solved = tuple(
                 Check(SOLVED, f["success"], where=f"without {f['trial']}")
-                for f in folds
+                for f in rows
             )
             checks = *plausible, *solved, *notes
             held = Verdict(checks, tuple(args.accept))
-            summary = {"subject": study.name, "folds": folds}
+            summary = {"subject": study.name, "folds": rows}
             summary["clocks"] = [c.summary() for c in clocks]
-            summary |= verdict(folds, alone) | held.summary()
+            summary |= verdict(rows, alone) | held.summary()
             write_json(out / "summary.json", summary)
-            if folds[-1]["stopped"]:
+            if row["stopped"]:
                 break
-        stopped = folds[-1]["stopped"]
-        code = folder.end(STOPPED_CODE if stopped else held.exit_code)
-    print(_table(folds))
+        code = folder.end(STOPPED_CODE if row["stopped"] else held.exit_code)
+    print(_table(rows))
     if clocks:
         print(clocks_table(summary["clocks"]))
     if len(told) == 1:
