@@ -20,7 +20,7 @@ from drake_exo.contact.parameters import (
     ContactSphere,
     GroundContact,
 )
-from drake_exo.errors import InputError, path_of
+from drake_exo.errors import InputError, check_count, path_of
 from drake_exo.files import schema
 from drake_exo.files.output import Check, write_csv
 from drake_exo.model.assembly import Person
@@ -354,8 +354,7 @@ def reduce_sole(
             "samples are not those of a sole; give what dx.soles.sole_samples "
             "returns for a step, or for its folder"
         )
-    if spheres < 1:
-        raise InputError(f"{spheres} spheres bear nothing; take 2 or more")
+    check_count(spheres, 1, "spheres")
     columns = [0, 1, 3] if planar else [0, 1, 2, 3]
     unknowns = spheres * len(columns) + 1
     if planar:

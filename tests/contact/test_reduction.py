@@ -132,8 +132,9 @@ def test_too_few_samples_are_refused():
     same = _samples(*(np.repeat(x[:1], 9, axis=0) for x in whole[:4]))
     with pytest.raises(InputError, match=r"samples \(1 that differ\)"):
         reduce_sole(same, 2, False)
-    with pytest.raises(InputError, match="take 2 or more"):
-        reduce_sole(few, 0, False)
+    for spheres in (0, 1.5):
+        with pytest.raises(InputError, match="give a whole number from 1"):
+            reduce_sole(few, spheres, False)
     for other in ("results", Case.from_text(EXAMPLE)):
         with pytest.raises(InputError, match="sole_samples returns"):
             reduce_sole(other, 3)

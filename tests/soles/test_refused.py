@@ -138,6 +138,11 @@ def test_parts_of_another_type_in_python():
         dx.soles.compare_strains(step)
     with pytest.raises(InputError, match=r"source is Case\(.* give a path"):
         dx.soles.sole_samples(case)
+    with pytest.raises(InputError, match=r"setup is .* give a Setup"):
+        dx.soles.pareto_front("c.yaml", [0.9])
+    for floors in (0.9, [float("nan")]):
+        with pytest.raises(InputError, match=r"floors are .* give a list"):
+            dx.soles.pareto_front(case, floors)
 
 
 def test_ground_in_millimetres():

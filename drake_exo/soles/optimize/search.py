@@ -28,7 +28,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from scipy.optimize import Bounds, minimize
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_type
 from drake_exo.jobs.engine import (
     Ended,
     Heard,
@@ -617,8 +617,12 @@ def pareto_front(
         keeps a floor, the one of largest c_rot stands for it.
 
     Raises:
-        InputError: The first design cannot be simulated.
+        InputError: The first design cannot be simulated, or floors are not
+            numbers.
     """
+    check_type(setup, Setup, "setup")
+    if np.ndim(floors) != 1 or not np.isfinite(floors).all():
+        raise InputError(f"floors are {floors}; give a list of ratios")
     say, block = say or (lambda text: None), setup.settings.optimize
     bounds = tuple(block.bounds)
     free = in_own_walk(setup).optimizing(c_rot_nm_per_rad=None)
