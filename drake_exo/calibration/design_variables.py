@@ -28,23 +28,30 @@ from drake_exo.model.segments import CUFFED
 
 # Least distance of a cuff from the joints at its limb's ends.
 _FROM_JOINT_M = 0.05
-# Typical compliance of a strap.
-_STRAP_SIZE = {"m/N": 1e-4, "rad/(N m)": 1e-2}
 # A joint counts as driven if its torque reaches this share of the largest.
 _DRIVEN = 0.05
 # Displacements of the device's half of a cuff alone (forwards, up), and of a
 # joint's place.
 PRELOADS = ("preload_across_m", "preload_along_m")
 OFFSETS = ("across_m", "along_m")
-# How the name of a factor on a joint's torque begins, and ends if at an angle.
-FACTOR, _DEG = "factor_at_", "_deg"
-# Gain of a joint's controller -> typical size.
+# What may change of a cuff beside its straps, and the device's place alone and
+# gains of a joint's controller: field of the design -> typical size.
+_CUFF = {
+    "across_m": 0.01,
+    "along_m": 0.01,
+    **dict.fromkeys(PRELOADS, 0.005),
+    "area": 0.1,
+    **dict.fromkeys(RELEASES, 0.1),
+}
+_JOINT = dict.fromkeys(OFFSETS, 0.005)
 GAINS = {
     "support": 0.1,
     "constant_nm": 1.0,
     "stiffness_nm_rad": 2.0,
     "damping_nm_s_rad": 0.5,
 }
+# How the name of a factor on a joint's torque begins, and ends if at an angle.
+FACTOR, _DEG = "factor_at_", "_deg"
 
 
 @dataclass(frozen=True)
@@ -120,38 +127,30 @@ def design_variables(
                 "symmetric is true; give both the same, under "
                 f"{without_side(cuff)}"
             )
-        lower, upper = _along(cuff, wearers, freedom.along_m)
-        found += [
-            Variable(f"{cuff}.across_m", "m", *freedom.across_m, 0.0, 0.01),
-            Variable(f"{cuff}.along_m", "m", lower, upper, 0.0, 0.01),
-        ]
-        found += [
-            Variable(f"{cuff}.{w}", "m", *getattr(freedom, w), 0.0, 0.005)
-            for w in PRELOADS
-        ]
-        found.append(Variable(f"{cuff}.area", "1", *freedom.area, 1.0, 0.1))
-        found += [
-            Variable(f"{cuff}.{w}", "1", *getattr(freedom, w), 0.0, 0.1)
-            for w in RELEASES
-        ]
+        along = _along(cuff, wearers, freedom.along_m)
+        bounds = {**vars(freedom), "along_m": along}
+        found += _variables(cuff, CuffDesign, bounds, _CUFF)
         for strap in STRAPS.values():
-            rotates = strap.endswith("rad")
-            softest = freedom.strap_nm_rad if rotates else freedom.strap_n_m
-            unit = "rad/(N m)" if rotates else "m/N"
-            size = _STRAP_SIZE[unit]
-            most = 0.0 if softest is None else 1.0 / softest
-            found.append(
-                Variable(f"{cuff}.{strap}", unit, 0.0, most, 0.0, size)
+            softest, unit, size = (
+                (freedom.strap_nm_rad, "rad/(N m)", 1e-2)
+                if strap.endswith("rad")
+                else (freedom.strap_n_m, "m/N", 1e-4)
             )
+            most = 0.0 if softest is None else 1.0 / softest
+            name = f"{cuff}.{strap}"
+            found.append(Variable(name, unit, 0.0, most, 0.0, size))
     for joint in movable(model):
         free = settings.joints.get(joint, JointFreedom())
-        found += [
-            Variable(f"{joint}.{w}", "m", *getattr(free, w), 0.0, 0.005)
-            for w in OFFSETS
-        ]
+        found += _variables(joint, JointDesign, vars(free), _JOINT)
+    gains = {
+        "support": settings.assistance,
+        "constant_nm": settings.gains.constant_nm,
+        "stiffness_nm_rad": (0.0, settings.gains.stiffness_nm_rad),
+        "damping_nm_s_rad": (0.0, settings.gains.damping_nm_s_rad),
+    }
     for joint in _driven(wearers, settings):
         if settings.assistance_over == "gains":
-            found += _gains(joint, settings)
+            found += _variables(joint, Gains, gains, GAINS)
             continue
         for place in _factors_at(joint, wearers, settings):
             name = f"{joint}.{FACTOR}{place}"
@@ -184,23 +183,18 @@ def partner(part: str, parts: Sequence[str], settings: DesignSettings) -> str:
     return other if settings.symmetric and other in parts else part
 
 
-def _gains(joint: str, settings: DesignSettings) -> list[Variable]:
-    free = settings.gains
-    bounds = {
-        "support": settings.assistance,
-        "constant_nm": free.constant_nm,
-        "stiffness_nm_rad": (0.0, free.stiffness_nm_rad),
-        "damping_nm_s_rad": (0.0, free.damping_nm_s_rad),
-    }
+def _variables(group: str, cls: type, bounds, sizes) -> list[Variable]:
+    """A cuff's or joint's: units and today's values are those of the design."""
+    known = {f.name: f for f in fields(cls)}
     return [
         Variable(
-            f"{joint}.{f.name}",
-            f.metadata["unit"],
-            *bounds[f.name],
-            f.default,
-            GAINS[f.name],
+            f"{group}.{name}",
+            known[name].metadata["unit"],
+            *bounds[name],
+            known[name].default,
+            size,
         )
-        for f in fields(Gains)
+        for name, size in sizes.items()
     ]
 
 
