@@ -20,12 +20,11 @@ from drake_exo.calibration.design import (
     mean_force,
     works,
 )
-from drake_exo.calibration.design_cuffs import Hold, Tried, hold
 from drake_exo.calibration.design_variables import Variable, is_assistance
 from drake_exo.calibration.results import solve_summary, write_contact
 from drake_exo.calibration.settings import DesignSettings, DriveLimits
 from drake_exo.calibration.uncertainty import Bands
-from drake_exo.calibration.wearers import Wearer
+from drake_exo.calibration.wearers import Hold, Wearer, hold
 from drake_exo.contact.bushing import (
     NORMAL,
     ROTATION,
@@ -117,6 +116,30 @@ class Peak:
 
 
 @dataclass(frozen=True)
+class Tried:
+    """A design with some cuffs left out.
+
+    Attributes:
+        without: the cuffs left out.
+        norm_n: norm of all cuffs' forces [N]; None if there is no such design.
+        forecast_n: that norm in the forecast of the design [N], or None.
+        design: the design, or None.
+        why_not: sentence that says why there is none; else empty.
+    """
+
+    without: tuple[str, ...]
+    norm_n: float | None = None
+    forecast_n: float | None = None
+    design: Design | None = None
+    why_not: str = ""
+
+    @property
+    def name(self) -> str:
+        """Names of the cuffs left out, joined by "and"."""
+        return " and ".join(self.without) or "none"
+
+
+@dataclass(frozen=True)
 class Designed:
     """A design with its forecast; see `design`.
 
@@ -175,6 +198,40 @@ class Designed:
         """The first wearer, and its movements on today's cuffs."""
         name, moved = next(iter(self.before.items()))
         return self.worn[name], moved
+
+    @cached_property
+    def held(self) -> Hold:
+        """Least stiffness with which its cuffs, as built, hold the device.
+
+        Of wearers with a forecast, in their movements there.
+        """
+        return min(
+            hold(
+                self.design.model(w.model),
+                self.design.contact(w.contact),
+                [moved.trial for moved in self.after[w.name]],
+                w.springs,
+            )
+            for w in self.found.problem.wearers
+            if w.name in self.after
+        )
+
+    @cached_property
+    def forecast_n(self) -> float:
+        """Forecast of the norm of forces on the design as built [N].
+
+        The norm that the program promises for all wearers, times the ratio of
+        forecast to promised norm of the calibrated ones.
+        """
+        wearers = [self.found.wearers[name] for name in self.after]
+        moved = [
+            replace(own, trials=[m.trial for m in ms])
+            for own, ms in zip(wearers, self.after.values(), strict=True)
+        ]
+        forecast, promised = (
+            joint_norm(w.norm for w in these) for these in (moved, wearers)
+        )
+        return forecast / promised * self.found.norm_n
 
     @cached_property
     def peaks(self) -> dict[str, Peak]:
@@ -435,11 +492,10 @@ class Designed:
             "tighten design.limits.support",
         )
         most = (1.0 + _KEPT) * self.found.norm_n
-        forecast = forecast_norm(self.found, self.after)
         yield Check(
             "design.forecast",
-            forecast <= most,
-            forecast,
+            self.forecast_n <= most,
+            self.forecast_n,
             most,
             "N",
             sentence="the design keeps its promise only if the person moves "
@@ -462,14 +518,13 @@ class Designed:
             sentence="the largest force does not fall: give the design "
             "more freedom or wider limits",
         )
-        held = hold_as_built(self.found, self.after)
         yield Check(
             "design.attached",
-            held.stiffness > 0.0,
-            held.stiffness,
+            self.held.stiffness > 0.0,
+            self.held.stiffness,
             0.0,
             "N m/rad",
-            held.joint,
+            self.held.joint,
             "the device hangs loose: its weight pushes it off by more "
             "than its cuffs hold it; leave out fewer of them, and less to "
             "slides and hinges",
@@ -600,7 +655,7 @@ class Designed:
             "norm_n": {
                 "before": self.today.norm_n,
                 "after": self.found.norm_n,
-                "forecast": forecast_norm(self.found, self.after),
+                "forecast": self.forecast_n,
             },
             "felt": self.felt(),
             "drives": self.drives(),
@@ -747,50 +802,6 @@ _RESPONSE = {
     "own": "as before (own movement)",
     "free": "as is least effort between the ends of its movement (free)",
 }
-
-
-def hold_as_built(
-    found: DesignResult, after: Mapping[str, Sequence[Moved]]
-) -> Hold:
-    """Least stiffness with which the built cuffs hold the device, see `hold`.
-
-    Args:
-        found: the design.
-        after: wearer -> forecast movements; wearers not in it do not count.
-    """
-    return min(
-        hold(
-            found.design.model(w.model),
-            found.design.contact(w.contact),
-            [moved.trial for moved in after[w.name]],
-            w.springs,
-        )
-        for w in found.problem.wearers
-        if w.name in after
-    )
-
-
-def forecast_norm(
-    found: DesignResult, after: Mapping[str, Sequence[Moved]]
-) -> float:
-    """Forecast of the norm of forces on a design as built [N].
-
-    The norm that the program promises for all wearers, times the ratio of
-    forecast to promised norm of the calibrated ones.
-
-    Args:
-        found: the design.
-        after: calibrated wearer -> forecast movements.
-    """
-    wearers = [found.wearers[name] for name in after]
-    moved = [
-        replace(own, trials=[m.trial for m in ms])
-        for own, ms in zip(wearers, after.values(), strict=True)
-    ]
-    forecast, promised = (
-        joint_norm(w.norm for w in these) for these in (moved, wearers)
-    )
-    return forecast / promised * found.norm_n
 
 
 def trial_label(trial: Trial, who: str) -> str:

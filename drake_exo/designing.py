@@ -7,16 +7,21 @@ the same movements on the design are its forecast.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 
 from drake_exo.calibration.clocks import Clock, retimed, timed
 from drake_exo.calibration.design import DesignProblem, DesignResult, works
-from drake_exo.calibration.design_cuffs import fewer
-from drake_exo.calibration.design_variables import GAINS, Variable, design_of
+from drake_exo.calibration.design_variables import (
+    GAINS,
+    Variable,
+    design_of,
+    partner,
+)
 from drake_exo.calibration.phases import check_knows_cuffs
 from drake_exo.calibration.problem import solved
 from drake_exo.calibration.settings import (
@@ -35,6 +40,8 @@ from drake_exo.calibration.wearers import (
     check_wearers,
     drawn,
     drives_answer,
+    hold,
+    less,
     posture_law,
     sized,
     springs_answer,
@@ -46,8 +53,7 @@ from drake_exo.contact.strap import PLACES, RELEASES, STRAPS, Design
 from drake_exo.designed import (
     Designed,
     Moved,
-    forecast_norm,
-    hold_as_built,
+    Tried,
     largest_deflection,
     largest_force,
     trial_label,
@@ -131,47 +137,28 @@ def design(
     today = DesignProblem.of_today(everybody, settings).solve(
         on_iterate=SolveWatch("today")
     )
+    made = Designed(settings, today, today, before, before)
     if not today.solution.success:
-        return Designed(settings, today, today, before, before)
+        return made
     problem = DesignProblem(everybody, settings, today=today)
-    found = problem.solve(on_iterate=SolveWatch("design"))
-    if not found.solution.success:
-        return Designed(settings, today, found, before, before)
-    built: dict[tuple[str, ...], dict[str, list[Moved]]] = {}
+    made = replace(made, found=problem.solve(on_iterate=SolveWatch("design")))
+    if not made.success:
+        return made
 
-    def forecast(result: DesignResult) -> float:
-        built[result.problem.without] = moved = {
+    def forecast(found: DesignResult) -> dict[str, list[Moved]]:
+        return {
             w.name: movements(
                 own,
                 w.contact,
                 settings,
-                result.design,
+                found.design,
                 (w, before[w.name]),
                 clocks[w.name],
             )
             for w, own in zip(wearers, studies, strict=True)
         }
-        if result.problem.without:
-            held = hold_as_built(result, moved)
-            if not held.stiffness > 0.0:
-                raise InputError(
-                    f"as built the device would hang loose: {held}"
-                )
-        return forecast_norm(result, moved)
 
-    found, tried = fewer(found, forecast)
-    if not tried:
-        forecast(found)
-    after = built[found.problem.without]
-    made = Designed(
-        settings,
-        today,
-        found,
-        before,
-        after,
-        tried=tuple(tried),
-        stopped=any(t.why_not == STOPPED_BY_USER for t in tried),
-    )
+    made = fewer(replace(made, after=forecast(made.found)), forecast)
     return _with_parts(made) if parts and not made.stopped else made
 
 
@@ -436,6 +423,93 @@ def built(
     }
     seen = {name: trials for name, trials in seen.items() if trials}
     return replace(made, measured=measured, seen=seen)
+
+
+def fewer(
+    whole: Designed,
+    forecast: Callable[[DesignResult], dict[str, list[Moved]]],
+) -> Designed:
+    """The best design with as few cuffs as it needs, by greedy removal.
+
+    Each removable cuff (of a symmetric design, both of a pair) is left out in
+    turn and all else designed again under all limits. The best of these designs
+    replaces the present one if the norm of the forces in its forecast is less,
+    and the removal is repeated. Costs are not compared: fractions of 0.02
+    degrees by which a movement is off the person's own would decide.
+
+    Args:
+        whole: the design with every cuff.
+        forecast: wearer -> movements on a design; raises InputError if nobody
+            can move on it.
+    """
+    settings = whole.settings
+    cuffs = whole.found.problem.wearers[0].model.cuffs
+    removable = dict.fromkeys(
+        frozenset({cuff, partner(cuff, cuffs, settings)})
+        for cuff in cuffs
+        if settings.freedom(cuff).removable
+    )
+    if not removable:
+        return whole
+    by_forecast = attrgetter("forecast_n")
+    best, tried = whole, [_told(whole)]
+    while True:
+        rivals, left_out = [], best.found.problem.without
+        for pair in removable:
+            if pair <= {*left_out}:
+                continue
+            without = (*left_out, *sorted(pair))
+            try:
+                found = _without(whole.found, without)
+                if found.solution.was_stopped:
+                    raise KeyboardInterrupt
+                rival = replace(whole, found=found, after=forecast(found))
+                if not rival.held.stiffness > 0.0:
+                    raise InputError(
+                        f"as built the device would hang loose: {rival.held}"
+                    )
+            except KeyboardInterrupt:  # between solves, or in a forecast
+                tried.append(Tried(without, why_not=STOPPED_BY_USER))
+                best = min([best, *rivals], key=by_forecast)
+                return replace(best, tried=tuple(tried), stopped=True)
+            except InputError as error:
+                tried.append(Tried(without, why_not=str(error)))
+                continue
+            tried.append(_told(rival))
+            rivals.append(rival)
+        least = min(rivals, key=by_forecast, default=best)
+        if not least.forecast_n < best.forecast_n:
+            return replace(best, tried=tuple(tried))
+        best = least
+
+
+def _without(found: DesignResult, without: tuple[str, ...]) -> DesignResult:
+    """The design made again without some cuffs.
+
+    Raises:
+        InputError: the device would hang loose, or the solve failed.
+    """
+    problem = found.problem
+    for wearer in problem.wearers:
+        held = less(wearer, design_of({}, without))
+        least = hold(held.model, held.contact, held.trials, held.springs)
+        if not least.stiffness > 0.0:
+            raise InputError(
+                f"the device would hang loose on {wearer.name}: {least}"
+            )
+    rival = DesignProblem(
+        problem.wearers, problem.settings, today=problem.today, without=without
+    ).solve(on_iterate=SolveWatch(f"without {', '.join(without)}"))
+    solution = rival.solution
+    if not (solution.success or solution.was_stopped):
+        raise InputError(f"{solution.status}: {solution.explain()}")
+    return rival
+
+
+def _told(made: Designed) -> Tried:
+    found = made.found
+    without, norm = found.problem.without, found.norm_n
+    return Tried(without, norm, made.forecast_n, found.design)
 
 
 # What is designed -> what its variables' names begin with.

@@ -38,10 +38,6 @@ TESTS = {
         "tests/calibration/test_design_program.py",
         "tests/calibration/test_design.py",
     ],
-    "drake_exo/calibration/design_cuffs.py": [
-        "tests/calibration/test_design_cuffs.py",
-        "tests/calibration/test_design.py",
-    ],
     "drake_exo/calibration/phases.py": ["tests/calibration/test_periodic.py"],
     "drake_exo/calibration/settings.py": [
         "tests/docs/test_pages.py::test_keys_are_those_of_the_program",
@@ -49,7 +45,10 @@ TESTS = {
     ],
     "drake_exo/calibration/solving.py": ["tests/calibration/test_verdicts.py"],
     "drake_exo/calibration/start.py": ["tests/calibration/test_start.py"],
-    "drake_exo/calibration/wearers.py": ["tests/calibration/test_wearers.py"],
+    "drake_exo/calibration/wearers.py": [
+        "tests/calibration/test_wearers.py",
+        "tests/test_design_cuffs.py",
+    ],
     "drake_exo/contact/strap.py": [
         "tests/contact/test_assistance.py",
         "tests/contact/test_strap.py",
@@ -68,6 +67,7 @@ TESTS = {
     "drake_exo/designing.py": [
         "tests/test_designed.py",
         "tests/test_designing.py",
+        "tests/test_design_cuffs.py",
         "tests/calibration/test_design.py",
     ],
     "drake_exo/cli/": ["tests/cli", "tests/test_cli.py", "tests/test_view.py"],

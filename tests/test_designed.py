@@ -27,7 +27,7 @@ from drake_exo.calibration.settings import (
 )
 from drake_exo.cli import design as command
 from drake_exo.contact.strap import Design
-from drake_exo.designed import Designed, Moved, forecast_norm
+from drake_exo.designed import Designed, Moved
 from drake_exo.designing import front
 from drake_exo.model.plant import nominal_model
 
@@ -290,7 +290,7 @@ def test_norms_of_wearers_and_of_the_forecast(made):
         assert norms["after"] != pytest.approx(was)
     # As it was promised, so it is forecast.
     norm = made.found.norm_n
-    assert forecast_norm(made.found, made.after) == pytest.approx(norm)
+    assert made.forecast_n == pytest.approx(norm)
 
     def twice(moved):
         cuffs = {
@@ -300,7 +300,7 @@ def test_norms_of_wearers_and_of_the_forecast(made):
         return replace(moved, trial=replace(moved.trial, cuffs=cuffs))
 
     more = {n: [twice(m) for m in ms] for n, ms in made.after.items()}
-    assert forecast_norm(made.found, more) == pytest.approx(2.0 * norm)
+    assert replace(made, after=more).forecast_n == pytest.approx(2.0 * norm)
 
 
 def _check(found, name):
@@ -336,11 +336,9 @@ def test_checks_hold_the_numbers_of_the_tables(told):
 
 def test_a_forecast_may_be_off_by_a_tenth(told, monkeypatch):
     for share, holds in ((1.05, True), (1.15, False)):
-        monkeypatch.setattr(
-            designed,
-            "forecast_norm",
-            lambda found, after, share=share: share * found.norm_n,
-        )
+        norm = share * told.found.norm_n
+        known = property(lambda _, norm=norm: norm)
+        monkeypatch.setattr(Designed, "forecast_n", known)
         check = _check(told.checks(), "design.forecast")
         assert check.holds == holds
 

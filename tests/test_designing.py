@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 from dataclasses import replace
 from types import SimpleNamespace
@@ -15,10 +16,8 @@ from unmarked import unmarked
 
 import drake_exo as dx
 from drake_exo import designed, designing
-from drake_exo.calibration import design_cuffs
 from drake_exo.calibration.clocks import Clock, retimed
 from drake_exo.calibration.design import DesignProblem
-from drake_exo.calibration.design_cuffs import Hold, Tried
 from drake_exo.calibration.design_variables import Variable
 from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.settings import (
@@ -29,7 +28,7 @@ from drake_exo.calibration.settings import (
     PredictionSettings,
     Solver,
 )
-from drake_exo.calibration.wearers import Wearer
+from drake_exo.calibration.wearers import Hold, Wearer
 from drake_exo.cli import main
 from drake_exo.contact.parameters import Posterior, nominal_contact
 from drake_exo.contact.strap import CuffDesign, Design, read_design
@@ -272,21 +271,7 @@ def test_a_design_is_replayed_beside_the_device_of_today(found, tmp_path):
 @pytest.mark.slow
 def test_what_would_hang_loose_as_built_is_no_design(study, monkeypatch):
     """However little its cuffs press; with every cuff the verdict tells it."""
-    seen = []
-
-    def fewer(found, forecast):
-        forecast(found)
-        rival = design_cuffs._without(found, ("shank",))
-        with pytest.raises(InputError, match=r"loose: at exo_knee .* 5\.2 N m"):
-            forecast(rival)
-        seen.append(rival)
-        return found, []
-
-    def as_built(found, after):
-        return Hold(-5.2, "exo_knee")
-
-    monkeypatch.setattr(designing, "fewer", fewer)
-    monkeypatch.setattr(designing, "hold_as_built", as_built)
+    monkeypatch.setattr(Designed, "held", Hold(-5.2, "exo_knee"))
     own, contact = study
     limits = DesignLimits(
         migration_mm=None, moment_factor=None, effort_factor=None
@@ -294,7 +279,10 @@ def test_what_would_hang_loose_as_built_is_no_design(study, monkeypatch):
     free = {"shank": CuffFreedom(removable=True)}
     settings = replace(SETTINGS, limits=limits, cuffs=free)
     found = dx.design(own, contact.scaled(4.0), settings)
-    assert seen and found.found.problem.without == ()
+    assert found.found.problem.without == ()
+    whole, less = found.tried
+    assert (whole.why_not, less.norm_n, less.design) == ("", None, None)
+    assert re.search(r"loose: at exo_knee .* 5\.2 N m", less.why_not)
 
 
 @pytest.mark.slow
@@ -303,12 +291,11 @@ def test_a_design_without_a_cuff_is_told_and_written(
 ):
     """In tables, files, page and what reads them."""
 
-    def one_less(found, forecast):
-        every = Tried((), found.norm_n, forecast(found), found.design)
-        rival = design_cuffs._without(found, ("shank",))
-        norm = forecast(rival)
-        less = Tried(("shank",), rival.norm_n, norm, rival.design)
-        return rival, [every, less]
+    def one_less(whole, forecast):
+        found = designing._without(whole.found, ("shank",))
+        less = replace(whole, found=found, after=forecast(found))
+        told = designing._told(whole), designing._told(less)
+        return replace(less, tried=told)
 
     monkeypatch.setattr(designing, "fewer", one_less)
     own, contact = study

@@ -8,12 +8,18 @@ other cuffs would change what they show.
 
 Besides the people who were calibrated, wearers are drawn from a calibration's
 posterior (`drawn`) or have bodies of other sizes (`sized`).
+
+`hold` tells whether cuffs hold a device: with the person held still, springs of
+the cuffs, springs across joints and gravity give it a potential energy. If its
+curvature by the device's joints is negative in some direction, the device's own
+weight moves it away: it hangs loose, even if a movement on it can be solved.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,6 +39,7 @@ from drake_exo.calibration.settings import (
     Population,
     PredictionSettings,
 )
+from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import Design, links_above, movable
 from drake_exo.errors import InputError
@@ -54,6 +61,7 @@ _POWER = {"simbody": 1.0, "paper": 2.0 / 3.0}
 # Residual of `posture_law` that is accepted, as a multiple of the torque's
 # noise: angles are noisy, too.
 _EXPLAINED = 2.0
+_STEP_RAD = 1e-5
 
 
 class OwnMovement(PhaseProblem):
@@ -411,6 +419,77 @@ def less(wearer: Wearer, design: Design) -> Wearer:
         contact=design.contact(wearer.contact),
         trials=tuple(_without(t, removed) for t in wearer.trials),
     )
+
+
+class Hold(NamedTuple):
+    """How well a device is held.
+
+    Attributes:
+        stiffness: least curvature of the energy by the device's joint angles
+            (least eigenvalue), over all postures [N m/rad].
+        joint: the joint that turns most in that direction.
+    """
+
+    stiffness: float
+    joint: str
+
+    def __str__(self) -> str:
+        return (
+            f"at {self.joint} the cuffs are {-self.stiffness:.1f} N m/rad too "
+            "soft to hold its weight"
+        )
+
+
+def hold(
+    model: Model,
+    contact: ContactModel,
+    trials: Sequence[Trial],
+    springs: np.ndarray | float = 0.0,
+) -> Hold:
+    """Least stiffness that holds the device on a person who keeps still.
+
+    Args:
+        model: subject and device.
+        contact: its bushings are the cuffs.
+        trials: the postures of these are checked.
+        springs: stiffness (m,) of springs across the device's joints [N m/rad].
+    """
+    tree, names = model.tree, model.coordinates
+    device = names.device_columns
+    cuffs = [
+        (BushingKinematics(tree, cuff, b.preload), b)
+        for cuff, b in contact.bushings.items()
+    ]
+
+    def slope(q: np.ndarray) -> np.ndarray:
+        """Energy's slope by the device's joints (n, m) at q (n, nq)."""
+        rest = np.zeros_like(q)
+        found = tree.inverse_dynamics(q, rest, rest)
+        for kinematics, bushing in cuffs:
+            places = np.broadcast_to(bushing.origin, (len(q), 2))
+            terms = kinematics.terms(q, places)
+            d = kinematics.deflection(q, terms)
+            found += np.einsum(
+                "nc,ncq->nq",
+                kinematics.force(d, bushing),
+                kinematics.deflection_jacobian(terms),
+            )
+        return found[:, device]
+
+    q = np.concatenate([t.q for t in trials])
+    curvature = np.empty((len(q), len(device), len(device)))
+    for i, column in enumerate(device):
+        step = np.zeros(q.shape[1])
+        step[column] = _STEP_RAD
+        change = slope(q + step) - slope(q - step)
+        curvature[:, :, i] = change / (2.0 * _STEP_RAD)
+    # Symmetric but for errors of differences, also where a cuff slips.
+    curvature = 0.5 * (curvature + curvature.transpose(0, 2, 1))
+    curvature += springs * np.eye(len(device))
+    least, modes = np.linalg.eigh(curvature)
+    worst = int(np.argmin(least[:, 0]))
+    joint = names.device[int(np.argmax(np.abs(modes[worst, :, 0])))]
+    return Hold(float(least[worst, 0]), joint)
 
 
 def check_population(wearer: Wearer) -> None:

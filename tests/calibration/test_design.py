@@ -1,6 +1,7 @@
 """Phase D: better cuffs for wearers of known truth."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,6 @@ from worn import FREEDOM
 
 from drake_exo.calibration import design as posed
 from drake_exo.calibration.design import DesignProblem, norm_of, works
-from drake_exo.calibration.design_cuffs import fewer
 from drake_exo.calibration.design_variables import GAINS, design_variables
 from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.settings import (
@@ -32,6 +32,8 @@ from drake_exo.calibration.wearers import (
 from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.parameters import Posterior
 from drake_exo.contact.strap import Assistance, CuffDesign, Design, JointDesign
+from drake_exo.designed import Designed
+from drake_exo.designing import fewer
 from drake_exo.errors import InputError
 from drake_exo.measurement.settings import Device, JointDrive
 
@@ -197,7 +199,9 @@ def test_what_mats_show_is_what_is_minimised(wearer, found, today):
     assert max(felt) == pytest.approx(most, rel=1e-3)
 
 
-def test_a_cuff_is_left_out_where_that_is_less_and_may_be(wearer, today):
+def test_a_cuff_is_left_out_where_that_is_less_and_may_be(
+    wearer, today, monkeypatch
+):
     """Each in turn; what holds the hip alone cannot go."""
     loose = DesignLimits(
         migration_mm=None, moment_factor=None, effort_factor=None
@@ -212,7 +216,13 @@ def test_a_cuff_is_left_out_where_that_is_less_and_may_be(wearer, today):
     )
     whole = DesignProblem([wearer], settings, today=today).solve()
     assert whole.solution.success
-    best, tried = fewer(whole, lambda r: r.norm_n)
+    monkeypatch.setattr(Designed, "held", SimpleNamespace(stiffness=1.0))
+    monkeypatch.setattr(
+        Designed, "forecast_n", property(lambda made: made.found.norm_n)
+    )
+    made = Designed(settings, today, whole, {}, {})
+    made = fewer(made, lambda found: {})
+    best, tried = made.found, made.tried
     told = {t.without: t for t in tried}
     assert "nothing holds the device beyond exo_hip" in (
         told["pelvis",].why_not

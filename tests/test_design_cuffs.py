@@ -5,12 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drake_exo.calibration import design_cuffs
-from drake_exo.calibration.design_cuffs import fewer, hold
+from drake_exo import designing
 from drake_exo.calibration.settings import CuffFreedom, DesignSettings
+from drake_exo.calibration.wearers import hold
 from drake_exo.contact.diagram import build_diagram
 from drake_exo.contact.parameters import nominal_contact
 from drake_exo.contact.strap import CuffDesign, Design
+from drake_exo.designed import Designed
 from drake_exo.errors import InputError
 from drake_exo.model.plant import nominal_model
 
@@ -28,6 +29,7 @@ def design(without=(), norm=1.0, removable=CUFFS, stopped=False, alike=False):
         norm_n=norm,
         design=None,
         solution=SimpleNamespace(was_stopped=stopped, success=not stopped),
+        settings=settings,
         problem=SimpleNamespace(
             settings=settings,
             wearers=[SimpleNamespace(model=model)],
@@ -48,7 +50,12 @@ def norms(monkeypatch):
         stopped = norm == "stopped"
         return design(without, 0.0 if stopped else norm, stopped=stopped)
 
-    monkeypatch.setattr(design_cuffs, "_without", without)
+    held = SimpleNamespace(stiffness=1.0)
+    monkeypatch.setattr(designing, "_without", without)
+    monkeypatch.setattr(Designed, "held", held)
+    monkeypatch.setattr(
+        Designed, "forecast_n", property(lambda made: made.after["norm"])
+    )
 
     def given(pairs=(), **known):
         table.update(pairs)
@@ -63,12 +70,20 @@ def built(found):
         raise InputError("nobody moves so")
     if found.norm_n == "interrupted":
         raise KeyboardInterrupt
-    return found.norm_n + 0.5
+    return {"norm": found.norm_n + 0.5}
+
+
+def fewer(found):
+    """The best of it, and all that were tried."""
+    whole = Designed(found.settings, None, found, {}, built(found))
+    made = designing.fewer(whole, built)
+    assert made.stopped == any("stopped" in t.why_not for t in made.tried)
+    return made.found, list(made.tried)
 
 
 def test_the_best_is_kept_and_less_is_tried_from_there(norms):
     norms(shank=0.8, thigh=0.6, shank_thigh=0.5)
-    best, tried = fewer(design(), built)
+    best, tried = fewer(design())
     assert set(best.problem.without) == {"shank", "thigh"}
     assert [t.without for t in tried] == [
         (),
@@ -86,7 +101,7 @@ def test_the_best_is_kept_and_less_is_tried_from_there(norms):
 
 def test_a_cuff_that_buys_nothing_by_its_absence_stays(norms):
     norms(shank=1.0, thigh=1.2)
-    best, tried = fewer(design(), built)
+    best, tried = fewer(design())
     assert best.problem.without == ()
     assert len(tried) == 4
 
@@ -94,25 +109,25 @@ def test_a_cuff_that_buys_nothing_by_its_absence_stays(norms):
 def test_one_that_nobody_can_move_on_is_none(norms):
     """However little it promised."""
     norms(shank="nobody")
-    best, tried = fewer(design(), built)
+    best, tried = fewer(design())
     assert best.problem.without == ()
     assert tried[1].why_not == "nobody moves so"
 
 
 def test_only_what_may_be_removed_is_tried(norms):
     norms(shank=0.5, thigh=0.1)
-    best, tried = fewer(design(removable=("shank",)), built)
+    best, tried = fewer(design(removable=("shank",)))
     assert best.problem.without == ("shank",)
     assert [t.without for t in tried] == [(), ("shank",)]
     whole = design(removable=())
-    assert fewer(whole, built) == (whole, [])
+    assert fewer(whole) == (whole, [])
 
 
 def test_of_a_symmetric_design_both_of_a_pair_are_left_out(norms):
     pair = frozenset({"calf_left", "calf_right"})
     norms({pair: 0.6, pair | {"shank"}: 0.4}, shank=0.8, calf=0.1)
     whole = design(removable=("shank", *pair), alike=True)
-    best, tried = fewer(whole, built)
+    best, tried = fewer(whole)
     assert set(best.problem.without) == pair | {"shank"}
     assert [set(t.without) for t in tried] == [
         set(), {"shank"}, pair, pair | {"shank"}
@@ -124,7 +139,7 @@ def test_of_a_symmetric_design_both_of_a_pair_are_left_out(norms):
 def test_stopped_it_keeps_the_best_so_far(norms, how):
     """In a solve, or in the forecast after it."""
     norms(shank=0.8, thigh=0.9, shank_thigh=how)
-    best, tried = fewer(design(), built)
+    best, tried = fewer(design())
     assert best.problem.without == ("shank",)
     assert [t.without for t in tried][-2:] == [("pelvis",), ("shank", "thigh")]
     assert tried[-1].why_not == "stopped by the user"
@@ -132,10 +147,10 @@ def test_stopped_it_keeps_the_best_so_far(norms, how):
 
 def test_stopped_among_rivals_it_keeps_the_best_of_them(norms):
     norms(shank=0.3, thigh="stopped", pelvis=0.2)
-    best, _ = fewer(design(), built)
+    best, _ = fewer(design())
     assert best.problem.without == ("shank",)
     norms(shank=1.3)
-    best, _ = fewer(design(), built)
+    best, _ = fewer(design())
     assert best.problem.without == ()
 
 
