@@ -442,27 +442,51 @@ def tasks_of(batch: BatchFile, folder: Path) -> list[Task]:
     if root is not None and not root.is_dir():
         raise InputError(f"data_root: {batch.data_root} is not a folder")
     tasks: dict[str, Task] = {}
-    digests = {e: _digests(e.path, root) for e in subjects + soles if e.path}
+
+    def add(task: Task, files: dict[str, str]) -> None:
+        told = {
+            "step": task.step,
+            "options": task.options,
+            "changes": task.changes,
+            "files": files,
+            "needs": [tasks[name].key for name in task.needs.values()],
+            "code": code_digest(),
+        }
+        text = json.dumps(told, sort_keys=True, default=str)
+        key = hashlib.sha256(text.encode()).hexdigest()
+        tasks[task.name] = replace(task, key=key)
+
     further = {
         step: _of_options(words, folder)
         for step, words in batch.options.items()
     }
     for entry in subjects + soles:
+        files, start, needs = {}, root, {}
+        if entry.path is not None:
+            files = _digests(entry.path, root)
+        else:  # a laboratory's files lie beside its own study
+            start, needs = None, {LAB: f"{entry.name}/{LAB}"}
+            options = "--seed", str(entry.seed), *batch.laboratories.options()
+            add(Task(needs[LAB], entry.name, "", LAB, options), {})
         known = STUDY_STEPS if entry in subjects else CASE_STEPS
-        steps = [step for step in known if step in batch.steps]
-        if entry.seed is not None:
-            task = _laboratory(batch, entry)
-            tasks[task.name] = task
-        # A laboratory's files lie beside its own study.
-        start = root if entry.seed is None else None
-        for changes in _variants(batch, entry in soles):
+        for variant, changes in _variants(batch, entry in soles).items():
+            place = f"{entry.name}/{variant}" if variant else entry.name
             beside = entry.path.parent if entry.path else folder
-            own = digests.get(entry, {}) | _named(changes, beside, start)
-            for step in steps:
-                task = _task(batch, entry, changes, step, start)
-                keys = [tasks[name].key for name in task.needs.values()]
-                task = _keyed(task, own | further.get(step, {}), keys)
-                tasks[task.name] = task
+            own = files | _named(changes, beside, start)
+            for step in (step for step in known if step in batch.steps):
+                base = BUILDS_ON.get(step)
+                task = Task(
+                    f"{place}/{step.replace(' ', '_')}",
+                    entry.name,
+                    variant,
+                    step,
+                    batch.options.get(step, ()),
+                    entry.path,
+                    start,
+                    changes,
+                    needs | ({base: f"{place}/{base}"} if base else {}),
+                )
+                add(task, own | further.get(step, {}))
     for task in tasks.values():
         for above in map(str, PurePosixPath(task.name).parents):
             if above in tasks:
@@ -474,13 +498,13 @@ def tasks_of(batch: BatchFile, folder: Path) -> list[Task]:
     return list(tasks.values())
 
 
-def _variants(batch: BatchFile, of_sole: bool) -> list[dict[str, Any]]:
-    """Changes of each variant, those to cases or those to studies only."""
+def _variants(batch: BatchFile, of_sole: bool) -> dict[str, dict[str, Any]]:
+    """Name -> changes of each variant, those to cases or to studies only."""
     found: dict[str, dict] = {}
     for changes in batch.variants():
         ours = {k: v for k, v in changes.items() if is_sole(k) == of_sole}
         found.setdefault(variant_name(ours), ours)
-    return list(found.values())
+    return found
 
 
 # Keys of a case file; all others are a study's, which has its own `ground`.
@@ -493,46 +517,6 @@ SOLE_KEYS = (
 def is_sole(key: str) -> bool:
     """Whether a dotted key is of a case file, not of a study."""
     return any(f"{key}.".startswith(f"{own}.") for own in SOLE_KEYS)
-
-
-def _laboratory(batch: BatchFile, entry: Entry) -> Task:
-    options = ["--seed", str(entry.seed), *batch.laboratories.options()]
-    name = f"{entry.name}/{LAB}"
-    return _keyed(Task(name, entry.name, "", LAB, tuple(options)), {}, [])
-
-
-def _task(batch, entry, changes, step, root) -> Task:
-    variant = variant_name(changes)
-    place = f"{entry.name}/{variant}" if variant else entry.name
-    needs = {}
-    if entry.seed is not None:
-        needs[LAB] = f"{entry.name}/{LAB}"
-    if step in BUILDS_ON:
-        needs[BUILDS_ON[step]] = f"{place}/{BUILDS_ON[step]}"
-    return Task(
-        f"{place}/{step.replace(' ', '_')}",
-        entry.name,
-        variant,
-        step,
-        batch.options.get(step, ()),
-        entry.path,
-        root,
-        changes,
-        needs,
-    )
-
-
-def _keyed(task: Task, digests: dict, keys: list[str]) -> Task:
-    told = {
-        "step": task.step,
-        "options": task.options,
-        "changes": task.changes,
-        "files": digests,
-        "needs": keys,
-        "code": code_digest(),
-    }
-    text = json.dumps(told, sort_keys=True, default=str)
-    return replace(task, key=hashlib.sha256(text.encode()).hexdigest())
 
 
 @cache

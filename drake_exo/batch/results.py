@@ -125,27 +125,16 @@ def rows_of(batch: Batch) -> list[Row]:
         if outcome.sentence:
             verdict += f": {outcome.sentence}"
 
-        def row(trial, signal, value, unit, task=task, verdict=verdict):
-            return Row(
-                task.entry,
-                trial,
-                task.step,
-                signal,
-                value,
-                unit,
-                verdict,
-                task.variant,
-                task.name,
-            )
-
+        numbers = [] if outcome.code in (0, 3) else [("", "", None, "")]
         # The folder may still hold results of another key.
         lies = read_outcome(batch.out / task.name)
-        rows = []
         if lies is not None and lies.key == task.key:
-            rows = [row(*number) for number in _numbers(batch.out, task)]
-        if outcome.code not in (0, 3):
-            rows.insert(0, row("", "", None, ""))
-        found += rows
+            numbers += _numbers(batch.out, task)
+        of = task.variant, task.name
+        found += [
+            Row(task.entry, trial, task.step, *number, verdict, *of)
+            for trial, *number in numbers
+        ]
     return found
 
 
