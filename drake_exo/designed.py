@@ -207,13 +207,12 @@ class Designed:
         """
         return min(
             hold(
-                self.design.model(w.model),
-                self.design.contact(w.contact),
-                [moved.trial for moved in self.after[w.name]],
-                w.springs,
+                replace(
+                    self.worn[name].on(self.design),
+                    trials=[m.trial for m in moved],
+                )
             )
-            for w in self.found.problem.wearers
-            if w.name in self.after
+            for name, moved in self.after.items()
         )
 
     @cached_property
@@ -459,10 +458,8 @@ class Designed:
         """
         found = []
         for name, trials in moved.items():
-            w = self.worn[name]
-            largest = largest_deflection(
-                trials, design.model(w.model), design.contact(w.contact), cuff
-            )
+            w = self.worn[name].on(design)
+            largest = largest_deflection(trials, w.model, w.contact, cuff)
             largest[TANGENTIAL] *= w.slides(cuff) if shown else 1.0
             found.append(largest)
         return np.max(found, axis=0)

@@ -41,7 +41,6 @@ from drake_exo.calibration.wearers import (
     drawn,
     drives_answer,
     hold,
-    less,
     posture_law,
     sized,
     springs_answer,
@@ -152,7 +151,7 @@ def design(
                 w.contact,
                 settings,
                 found.design,
-                (w, before[w.name]),
+                w,
                 clocks[w.name],
             )
             for w, own in zip(wearers, studies, strict=True)
@@ -231,18 +230,13 @@ def slid(
     told = [m for m in moved if m.seen is not None]
     if not told:
         return {}
-
-    def migration(cuff: str, trials: list[Trial]) -> float:
-        largest = [
-            largest_deflection([t], model, contact, cuff) for t in trials
-        ]
-        return float(np.max(largest, axis=0)[TANGENTIAL])
-
     found = {}
     for cuff in contact.bushings:
-        seen = migration(cuff, [m.seen for m in told])
-        ratio = seen / migration(cuff, [m.trial for m in told])
-        found[cuff] = float(np.clip(ratio, 1.0, _SWINGS))
+        seen, had = (
+            largest_deflection(trials, model, contact, cuff)[TANGENTIAL]
+            for trials in ([m.seen for m in told], [m.trial for m in told])
+        )
+        found[cuff] = float(np.clip(seen / had, 1.0, _SWINGS))
     return found
 
 
@@ -284,7 +278,7 @@ def movements(
     contact: ContactModel,
     settings: DesignSettings,
     design: Design | None = None,
-    today: tuple[Wearer, Sequence[Moved]] | None = None,
+    who: Wearer | None = None,
     clocks: Sequence[Clock] = (),
 ) -> list[Moved]:
     """Own movements of a study's trials on its cuffs, or on a design.
@@ -294,9 +288,8 @@ def movements(
         contact: of the cuffs of today.
         settings: grid and solver.
         design: nothing changed by default.
-        today: with a design, who wears it, and the own movements on the cuffs
-            of today: its joints answer where the device goes another way than
-            there.
+        who: with a design, its wearer, whose joints answer where the device
+            goes another way than on the cuffs of today.
         clocks: of the trials, as found; torques are on that of the encoders.
 
     Raises:
@@ -312,12 +305,11 @@ def movements(
     found = []
     progress = Progress("own movements", len(trials))
     for k, trial in enumerate(trials):
-        if today is None:
+        if who is None:
             posed, more = trial, springs_answer(trial, study.device)
         else:
-            who, own = today
             posed = assisted(trial, design, contact, who.passive(trial))
-            more = answer(trial, who, own[k].trial, design)
+            more = answer(trial, who, who.trials[k], design)
         result = solved(
             OwnMovement(
                 design.model(study.model),
@@ -360,18 +352,16 @@ def on_design(
     worn = [assisted(t, design, contact, who.passive(t)) for t in trials]
     if all(trial.moments is not None for trial in trials):
         moved = partial(movements, study, contact, study.design, clocks=clocks)
-        before = moved()
-        who = wearer(study.name, study, contact, before)
-        after = moved(design, (who, before))
+        who = wearer(study.name, study, contact, moved())
         worn = [
             with_more(
                 own,
-                drives_answer(trial, who, today.trial, design).given(
+                drives_answer(trial, who, today, design).given(
                     there.trial, trial.times
                 ),
             )
             for own, trial, today, there in zip(
-                worn, trials, before, after, strict=True
+                worn, trials, who.trials, moved(design, who), strict=True
             )
         ]
     built = study.alone(worn)
@@ -412,14 +402,11 @@ def built(
     design = made.design
     seen = {
         w.name: [
-            how_it_was(
-                trial, design.model(w.model), design.contact(w.contact), phase
-            )
+            how_it_was(trial, w.model, w.contact, phase)
             for trial in measured[w.name]
             if "encoders" in trial.provenance
         ]
-        for w in made.found.problem.wearers
-        if w.name in measured
+        for w in (made.worn[name].on(design) for name in measured)
     }
     seen = {name: trials for name, trials in seen.items() if trials}
     return replace(made, measured=measured, seen=seen)
@@ -491,8 +478,7 @@ def _without(found: DesignResult, without: tuple[str, ...]) -> DesignResult:
     """
     problem = found.problem
     for wearer in problem.wearers:
-        held = less(wearer, design_of({}, without))
-        least = hold(held.model, held.contact, held.trials, held.springs)
+        least = hold(wearer.on(design_of({}, without)))
         if not least.stiffness > 0.0:
             raise InputError(
                 f"the device would hang loose on {wearer.name}: {least}"

@@ -161,6 +161,16 @@ LOW = np.deg2rad([0.0, 0.0, 2.0, 18.0, 40.0, 85.0, 19.0, 42.0, 83.0])
 POSTURES = np.array([BENT, 0.3 * BENT, LOW])
 
 
+def bent(model, contact, springs=0.0):
+    """As much of a wearer as is looked at."""
+    return SimpleNamespace(
+        model=model,
+        contact=contact,
+        trials=[SimpleNamespace(q=POSTURES)],
+        springs=springs,
+    )
+
+
 def least(model, contact):
     """Of the second differences of the energy by the device's joints.
 
@@ -202,7 +212,7 @@ def test_curvature_is_that_of_the_energy_in_drake(removed):
     model = nominal_model("coupled")
     contact = fewer.contact(nominal_contact(model))
     model = fewer.model(model)
-    held = hold(model, contact, [SimpleNamespace(q=POSTURES)])
+    held = hold(bent(model, contact))
     expected = least(model, contact)
     assert held.stiffness == pytest.approx(expected, rel=1e-3, abs=0.05)
 
@@ -210,15 +220,14 @@ def test_curvature_is_that_of_the_energy_in_drake(removed):
 def test_a_link_that_no_cuff_holds_falls():
     model = nominal_model("coupled")
     contact = nominal_contact(model)
-    postures = [SimpleNamespace(q=POSTURES)]
-    whole = hold(model, contact, postures)
+    whole = hold(bent(model, contact))
     contact.bushings.pop("pelvis")
-    loose = hold(model, contact, postures)
+    loose = hold(bent(model, contact))
     assert whole.stiffness > 0.0 > loose.stiffness
     assert loose.joint == "exo_hip"
     # A spring across that joint alone holds it instead.
     springs = [0.0, 0.0, 500.0]
-    held = hold(model, contact, postures, springs)
+    held = hold(bent(model, contact, springs))
     assert held.stiffness > 0.0
-    more = hold(model, contact, postures, 10.0).stiffness
+    more = hold(bent(model, contact, 10.0)).stiffness
     assert more == pytest.approx(loose.stiffness + 10.0)

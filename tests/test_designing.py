@@ -546,7 +546,7 @@ def test_a_prediction_s_torques_are_those_of_the_forecast(study, monkeypatch):
     built, _ = on_design(own, contact, design)
     before = designing.movements(own, contact, own.design)
     who = designing.wearer(own.name, own, contact, before)
-    after = designing.movements(own, contact, own.design, design, (who, before))
+    after = designing.movements(own, contact, own.design, design, who)
     turn = np.array([-1.0, 1.0, -1.0])  # of the trunk's link, by the joints
     for trial, given, today, there in zip(
         own.trials("prediction"), built.trials(), before, after, strict=True

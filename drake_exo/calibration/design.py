@@ -41,7 +41,7 @@ from drake_exo.calibration.settings import (
     PredictionEnds,
     PredictionSettings,
 )
-from drake_exo.calibration.wearers import Wearer, assisted, check_wearers, less
+from drake_exo.calibration.wearers import Wearer, assisted, check_wearers
 from drake_exo.collocation.bushing_kernels import (
     INTERACTION_FORCE_UNIT,
     AssistanceKernel,
@@ -719,7 +719,7 @@ class DesignProblem(Compiles):
         self.settings = settings = settings or DesignSettings()
         check_wearers(self.wearers, settings)
         self.without = tuple(without)
-        wearing = [less(w, design_of({}, without)) for w in self.wearers]
+        wearing = [w.on(design_of({}, without)) for w in self.wearers]
         self.program = BatchedProgram()
         self.design = [
             _held(v, held) for v in design_variables(wearing, settings)

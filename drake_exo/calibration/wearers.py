@@ -279,6 +279,22 @@ class Wearer:
     slid: Mapping[str, float] = field(default_factory=dict)
     law: Mapping[str, np.ndarray] = field(default_factory=dict)
 
+    def on(self, design: Design) -> Wearer:
+        """The same person on a design; trials without cuffs that it leaves out.
+
+        Raises:
+            InputError: nothing is left to hold the device.
+        """
+        design.check(self.model)
+        if design == Design():
+            return self
+        return replace(
+            self,
+            model=design.model(self.model),
+            contact=design.contact(self.contact),
+            trials=tuple(_without(t, design.removed) for t in self.trials),
+        )
+
     def shown(self, cuff: str) -> float:
         """Factor on the model's force of a cuff for what mats would show."""
         return self.differ.get(cuff, 1.0)
@@ -403,24 +419,6 @@ def _without(trial: Trial, removed: Sequence[str]) -> Trial:
     return replace(trial, cuffs=left)
 
 
-def less(wearer: Wearer, design: Design) -> Wearer:
-    """Today's wearer without the cuffs that a design leaves out.
-
-    Raises:
-        InputError: nothing is left to hold the device.
-    """
-    design.check(wearer.model)
-    removed = design.removed
-    if not removed:
-        return wearer
-    return replace(
-        wearer,
-        model=design.model(wearer.model),
-        contact=design.contact(wearer.contact),
-        trials=tuple(_without(t, removed) for t in wearer.trials),
-    )
-
-
 class Hold(NamedTuple):
     """How well a device is held.
 
@@ -440,25 +438,16 @@ class Hold(NamedTuple):
         )
 
 
-def hold(
-    model: Model,
-    contact: ContactModel,
-    trials: Sequence[Trial],
-    springs: np.ndarray | float = 0.0,
-) -> Hold:
-    """Least stiffness that holds the device on a person who keeps still.
+def hold(wearer: Wearer) -> Hold:
+    """Least stiffness that holds the device on a wearer who keeps still.
 
-    Args:
-        model: subject and device.
-        contact: its bushings are the cuffs.
-        trials: the postures of these are checked.
-        springs: stiffness (m,) of springs across the device's joints [N m/rad].
+    In the postures of the wearer's trials.
     """
-    tree, names = model.tree, model.coordinates
+    tree, names = wearer.model.tree, wearer.model.coordinates
     device = names.device_columns
     cuffs = [
         (BushingKinematics(tree, cuff, b.preload), b)
-        for cuff, b in contact.bushings.items()
+        for cuff, b in wearer.contact.bushings.items()
     ]
 
     def slope(q: np.ndarray) -> np.ndarray:
@@ -476,7 +465,7 @@ def hold(
             )
         return found[:, device]
 
-    q = np.concatenate([t.q for t in trials])
+    q = np.concatenate([t.q for t in wearer.trials])
     curvature = np.empty((len(q), len(device), len(device)))
     for i, column in enumerate(device):
         step = np.zeros(q.shape[1])
@@ -485,7 +474,7 @@ def hold(
         curvature[:, :, i] = change / (2.0 * _STEP_RAD)
     # Symmetric but for errors of differences, also where a cuff slips.
     curvature = 0.5 * (curvature + curvature.transpose(0, 2, 1))
-    curvature += springs * np.eye(len(device))
+    curvature += wearer.springs * np.eye(len(device))
     least, modes = np.linalg.eigh(curvature)
     worst = int(np.argmin(least[:, 0]))
     joint = names.device[int(np.argmax(np.abs(modes[worst, :, 0])))]
