@@ -11,7 +11,6 @@ page that replays every movement.
 import argparse
 import contextlib
 import io
-from collections.abc import Callable
 from pathlib import Path
 
 from drake_exo.calibration.clocks import Clock
@@ -28,7 +27,7 @@ from drake_exo.files.output import (
     OutputFolder,
     prepare_output_folder,
 )
-from drake_exo.jobs.engine import Beside, second_process
+from drake_exo.jobs.engine import Beside
 from drake_exo.report.gathering import gather
 from drake_exo.study import Study, find_clocks, read_study
 from drake_exo.virtual_laboratory.campaign import write_campaign
@@ -63,7 +62,7 @@ def _steps(out: Path) -> int:
     with part("laboratory", title) as folder:
         study = read_study(write_campaign(folder, _SEED, processes=PROCESSES))
     title = "Phases A and B: calibrate from three movements"
-    with second_process() as beside:
+    with Beside() as beside:
         ahead = beside(to_predict, study=study)
         with part("calibration", title) as folder:
             checks = study.gate("calibration")
@@ -108,9 +107,7 @@ def to_predict(study: Study) -> tuple[Study, list[Check]]:
     return study.alone(study.trials("prediction")), checks
 
 
-def _timed(
-    study: Study, contact: ContactModel, beside: Callable[..., Beside]
-) -> list[Clock]:
+def _timed(study: Study, contact: ContactModel, beside: Beside) -> list[Clock]:
     """Clocks of the prediction trials by calibrated cuffs, in two processes."""
     trials = study.trials("prediction")
     half, other = trials[::2], trials[1::2]

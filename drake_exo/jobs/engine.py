@@ -3,7 +3,7 @@
 A job is a call of a module's function. It runs in a `Pool`: `Processes` of this
 machine (one that is killed is replaced), a Dask `Cluster`, or `Here`.
 `run_jobs` starts each job once those that it needs are done, and skips it if
-one failed. `second_process` makes a call in the background.
+one failed. `Beside` makes a call in the background.
 
 A Dask worker hands its job to a `Worker`, a process of its own: compiled code
 that holds Python's lock (GIL) cannot then cost the Dask worker its connection,
@@ -24,9 +24,9 @@ import tempfile
 import threading
 import time
 from collections import ChainMap
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from multiprocessing.connection import wait as wait_for
 from pathlib import Path
 from typing import Any, Literal, Protocol, TextIO
@@ -254,27 +254,17 @@ class BatchProgress:
         print("\n".join(lines), file=self._stream, flush=True)
 
 
-@dataclass(frozen=True)
-class Log:
-    """Appends lines to a file; can be pickled for another process.
-
-    Attributes:
-        path: of the file.
-    """
-
-    path: str
-
-    def __call__(self, line: str) -> None:
-        """Append one line."""
-        with open(self.path, "a", encoding="utf-8") as file:
-            file.write(f"{line}\n")
+def append(log: str, line: str) -> None:
+    """Append one line to a job's log."""
+    with open(log, "a", encoding="utf-8") as file:
+        file.write(f"{line}\n")
 
 
 def logged(jobs: Sequence[Job], folder: Path) -> list[Job]:
     """Jobs with an argument `say`, which writes to a log in the folder."""
     logs = [str(folder / f"{k}.log") for k in range(len(jobs))]
     return [
-        replace(job.told(say=Log(log)), log=log)
+        replace(job.told(say=partial(append, log)), log=log)
         for job, log in zip(jobs, logs, strict=True)
     ]
 
@@ -564,17 +554,20 @@ class Here(Pool):
 _LEAVE_SECONDS = 20.0  # for a stopped call to write what it has
 
 
-class Beside:
-    """A call that runs in a second process, in the background.
+class Beside(Processes):
+    """A second process that makes calls in the background, one by one.
 
-    Args:
-        pool: of that process.
-        job: the call.
+    What a call prints is lost. The process ends with the `with` block.
     """
 
-    def __init__(self, pool: Processes, job: Job):
-        self._pool, self._name = pool, job.name
-        pool.start(job)
+    def __init__(self):
+        super().__init__(1)
+
+    def __call__(self, function: Callable, **arguments) -> Beside:
+        """Begin a call of a module's function; its arguments are pickled."""
+        name = f"{function.__module__}:{function.__name__}"
+        self.start(Job(function.__name__, name, arguments))
+        return self
 
     def value(self) -> Any:
         """Wait for the call; what it returns.
@@ -583,36 +576,17 @@ class Beside:
             InputError: as the call does.
             RuntimeError: whatever else ended it.
         """
-        progress, ended = Progress(self._name, interval_seconds=5.0), []
+        (name,) = self.running()
+        progress, ended = Progress(name, interval_seconds=5.0), []
         while not ended:
-            ended = self._pool.wait(POLL_SECONDS)
+            ended = self.wait(POLL_SECONDS)
             progress.update("at work in another process")
         return ended[0].result()
 
     def stop(self) -> None:
         """Send Ctrl-C to the call and wait while it writes what it has."""
-        self._pool.interrupt()
-        self._pool.wait(_LEAVE_SECONDS)
-
-
-@contextmanager
-def second_process() -> Iterator[Callable[..., Beside]]:
-    """A second process that makes calls in the background, one by one.
-
-    What a call prints is lost. The process ends with the `with` block.
-
-    Returns:
-        begin(function, **arguments), which begins a call of a module's
-        function with pickled arguments and returns it as `Beside`.
-    """
-    with Processes(1) as pool:
-
-        def begin(function: Callable, **arguments) -> Beside:
-            name = f"{function.__module__}:{function.__name__}"
-            job = Job(function.__name__, name, arguments)
-            return Beside(pool, job)
-
-        yield begin
+        self.interrupt()
+        self.wait(_LEAVE_SECONDS)
 
 
 _CONNECT_SECONDS = 60.0  # for a scheduler to answer, which may be restarting

@@ -257,7 +257,7 @@ def test_the_demos_parts_are_folders_of_one(monkeypatch, tmp_path):
     for name, value in (
         ("write_campaign", noted("lab")),
         ("read_study", lambda _: study),
-        ("second_process", process),
+        ("Beside", process),
         ("write_interaction", lambda s, folder, checks: noted("ab", 0)(folder)),
         ("_timed", lambda *_: []),
         ("write_predictions", noted("c1", 0)),

@@ -73,7 +73,7 @@ def test_the_demo_names_final_paths(monkeypatch, tmp_path, capsys):
             return self
 
     @contextlib.contextmanager
-    def second_process():
+    def one_beside():
         def begin(function, **arguments):
             return SimpleNamespace(value=lambda: function(**arguments))
 
@@ -85,7 +85,7 @@ def test_the_demo_names_final_paths(monkeypatch, tmp_path, capsys):
     ):
         monkeypatch.setattr(demo, name, step)
     monkeypatch.setattr(demo, "read_study", lambda *_: Passed())
-    monkeypatch.setattr(demo, "second_process", second_process)
+    monkeypatch.setattr(demo, "Beside", one_beside)
     monkeypatch.setattr(demo, "find_clocks", lambda *_, **__: [])
     assert demo.run(argparse.Namespace(out=out, force=True)) == 0
     growing = Path(f"{out}.partial")

@@ -10,7 +10,7 @@ import example_jobs
 import pytest
 
 from drake_exo.errors import InputError
-from drake_exo.jobs.engine import second_process
+from drake_exo.jobs.engine import Beside
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 import all as benchmarks
@@ -76,13 +76,13 @@ def test_short_benchmarks_run(script, tmp_path):
 
 
 def test_calls_beside_are_waited_for():
-    with second_process() as beside:
+    with Beside() as beside:
         assert beside(example_jobs.sleep, seconds=0.2).value() == 0.2
         assert beside(example_jobs.add, a=1, b=2).value() == 3
 
 
 def test_a_call_beside_fails_as_it_would_here():
-    with second_process() as beside:
+    with Beside() as beside:
         with pytest.raises(InputError, match=r"a\.yaml: wrong"):
             beside(example_jobs.refuse).value()
         with pytest.raises(RuntimeError, match="TypeError"):
@@ -91,7 +91,7 @@ def test_a_call_beside_fails_as_it_would_here():
 
 def test_a_call_beside_ends_with_its_context():
     start = time.monotonic()
-    with pytest.raises(KeyboardInterrupt), second_process() as beside:
+    with pytest.raises(KeyboardInterrupt), Beside() as beside:
         beside(example_jobs.sleep, seconds=60)
         raise KeyboardInterrupt
     assert time.monotonic() - start < 30.0
@@ -99,7 +99,7 @@ def test_a_call_beside_ends_with_its_context():
 
 def test_a_call_beside_is_told_to_stop_and_leaves_what_it_has(tmp_path):
     path = tmp_path / "left.txt"
-    with second_process() as beside:
+    with Beside() as beside:
         call = beside(example_jobs.interrupted, path=path)
         while not path.exists():
             time.sleep(0.05)
