@@ -6,7 +6,7 @@ with those measured on the design once it is built.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -16,8 +16,6 @@ import numpy as np
 from drake_exo.calibration.design import (
     DesignResult,
     joint_norm,
-    largest_rate,
-    mean_force,
     works,
 )
 from drake_exo.calibration.design_variables import Variable, is_assistance
@@ -29,9 +27,7 @@ from drake_exo.contact.bushing import (
     NORMAL,
     ROTATION,
     TANGENTIAL,
-    BushingKinematics,
 )
-from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.strap import (
     STIFF,
     TODAY,
@@ -50,7 +46,6 @@ from drake_exo.files.output import (
     write_text,
 )
 from drake_exo.measurement.trial import Trial
-from drake_exo.model.plant import Model
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.gathering import format_table, rounded
 from drake_exo.study import write_inputs
@@ -228,7 +223,8 @@ class Designed:
             for own, ms in zip(wearers, self.after.values(), strict=True)
         ]
         forecast, promised = (
-            joint_norm(w.norm for w in these) for these in (moved, wearers)
+            joint_norm(map(self.found.norm, these))
+            for these in (moved, wearers)
         )
         return forecast / promised * self.found.norm_n
 
@@ -355,22 +351,20 @@ class Designed:
                     continue
                 area = self.settings.freedom(cuff).area_m2
                 area *= design.cuffs.get(cuff, CuffDesign()).area
-                peaks, rates, means, halves = [], [], [], []
+                peaks, rates, means, halves, far = [], [], [], [], []
                 for name, own in moved.items():
-                    shown = np.ones(3)
-                    shown[NORMAL] = factor = self.worn[name].shown(cuff)
+                    w = self.worn[name].on(design)
+                    shown, slides = np.ones(3), np.ones(3)
+                    shown[NORMAL] = factor = w.shown(cuff)
+                    slides[TANGENTIAL] = w.slides(cuff)
                     for m in own:
-                        force = shown * m.trial.cuffs[cuff].components
-                        peaks.append(np.abs(force).max(axis=0))
-                        rates.append(factor * largest_rate(m.trial, cuff))
-                        means.append(factor * mean_force([m.trial], cuff))
+                        one = replace(w, trials=(m.trial,))
+                        peaks.append(shown * one.largest_force(cuff))
+                        rates.append(factor * one.largest_rate(cuff))
+                        means.append(factor * one.mean_force(cuff))
+                        far.append(slides * one.largest_deflection(cuff))
                         halves.append(_half_widths(m, cuff, factor))
-                deflection = self._deflection(
-                    cuff,
-                    design,
-                    {n: [m.trial for m in own] for n, own in moved.items()},
-                )
-                peak = np.max(peaks, axis=0)
+                peak, deflection = np.max(peaks, axis=0), np.max(far, axis=0)
                 row[what] = {
                     "peak_n": float(peak[NORMAL]),
                     "mean_n": float(np.mean(means)),
@@ -395,8 +389,12 @@ class Designed:
                     }
             built = None
             if self.seen and cuff not in self.design.removed:
-                found = self._deflection(cuff, self.design, self.seen, False)
-                built = float(1e3 * found[TANGENTIAL])
+                worn = [
+                    replace(self.worn[name].on(self.design), trials=trials)
+                    for name, trials in self.seen.items()
+                ]
+                found = [w.largest_deflection(cuff)[TANGENTIAL] for w in worn]
+                built = float(1e3 * max(found))
             row["measured_migration_mm"] = built
             rows.append(row)
         return rows
@@ -432,37 +430,13 @@ class Designed:
 
         From the program, including drawn and sized wearers.
         """
-        found = self.found.wearers
         return {
             name: {
-                "before": today.norm.newton,
-                "after": found[name].norm.newton,
+                "before": self.today.norm(today).newton,
+                "after": self.found.norm(self.found.wearers[name]).newton,
             }
             for name, today in self.today.wearers.items()
         }
-
-    def _deflection(
-        self,
-        cuff: str,
-        design: Design,
-        moved: Mapping[str, Sequence[Trial]],
-        shown: bool = True,
-    ) -> np.ndarray:
-        """Largest deflection (3,) of a cuff over wearers [m, m, rad].
-
-        Args:
-            cuff: name of the cuff.
-            design: the design that they wear.
-            moved: wearer -> its trials.
-            shown: convert the model's migration to what encoders would show.
-        """
-        found = []
-        for name, trials in moved.items():
-            w = self.worn[name].on(design)
-            largest = largest_deflection(trials, w.model, w.contact, cuff)
-            largest[TANGENTIAL] *= w.slides(cuff) if shown else 1.0
-            found.append(largest)
-        return np.max(found, axis=0)
 
     def checks(self) -> tuple[Check, ...]:
         """All checks: inputs, solve, goals of the design, notes."""
@@ -804,15 +778,6 @@ _RESPONSE = {
 def trial_label(trial: Trial, who: str) -> str:
     """Name of a trial's file; with the wearer's name if there are several."""
     return f"{who}_{trial.name}" if who else trial.name
-
-
-def largest_deflection(
-    trials: Sequence[Trial], model: Model, contact: ContactModel, cuff: str
-) -> np.ndarray:
-    """A cuff's largest deflection (3,) over trials [m, m, rad]."""
-    own = contact.bushings[cuff]
-    cuffs = BushingKinematics(model.tree, cuff, own.preload)
-    return cuffs.largest(trials, own.origin)
 
 
 def largest_force(trial: Trial, cuff: str) -> float:

@@ -53,7 +53,6 @@ from drake_exo.designed import (
     Designed,
     Moved,
     Tried,
-    largest_deflection,
     largest_force,
     trial_label,
 )
@@ -180,7 +179,6 @@ def wearer(
         tuple(m.trial for m in moved),
         differ=differences(moved),
         device=study.device,
-        slid=slid(moved, study.model, contact),
     )
     law = posture_law(
         told,
@@ -188,7 +186,7 @@ def wearer(
         study.model,
         study.prediction.noise.exo_moment_nm,
     )
-    return replace(who, law=law)
+    return replace(who, slid=slid(moved, who), law=law)
 
 
 def differences(moved: Sequence[Moved]) -> dict[str, float]:
@@ -213,9 +211,7 @@ def differences(moved: Sequence[Moved]) -> dict[str, float]:
     return found
 
 
-def slid(
-    moved: Sequence[Moved], model: Model, contact: ContactModel
-) -> dict[str, float]:
+def slid(moved: Sequence[Moved], wearer: Wearer) -> dict[str, float]:
     """Cuff -> its migration as encoders and markers tell it, over the model's.
 
     Each the largest of all trials with encoders, as what a design is limited
@@ -224,19 +220,21 @@ def slid(
     taken back.
 
     Args:
-        moved: of one wearer, on the cuffs of today.
-        model, contact: of that wearer.
+        moved: on the cuffs of today.
+        wearer: whose they are.
     """
     told = [m for m in moved if m.seen is not None]
     if not told:
         return {}
+    seen, had = (
+        replace(wearer, trials=trials)
+        for trials in ([m.seen for m in told], [m.trial for m in told])
+    )
     found = {}
-    for cuff in contact.bushings:
-        seen, had = (
-            largest_deflection(trials, model, contact, cuff)[TANGENTIAL]
-            for trials in ([m.seen for m in told], [m.trial for m in told])
-        )
-        found[cuff] = float(np.clip(seen / had, 1.0, _SWINGS))
+    for cuff in wearer.contact.bushings:
+        ratio = seen.largest_deflection(cuff)[TANGENTIAL]
+        ratio /= had.largest_deflection(cuff)[TANGENTIAL]
+        found[cuff] = float(np.clip(ratio, 1.0, _SWINGS))
     return found
 
 

@@ -15,7 +15,7 @@ from page_reader import player_data
 from unmarked import unmarked
 
 import drake_exo as dx
-from drake_exo import designed, designing
+from drake_exo import designing
 from drake_exo.calibration.clocks import Clock, retimed
 from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_variables import Variable
@@ -438,6 +438,7 @@ def test_migration_is_what_encoders_tell():
     made = dx.synthetic.rises_in_device(1, nodes_per_second=25.0)
     (trial,), model, contact = made.trials, made.model, made.contact
     names = trial.coordinates
+    who = Wearer("she", model, contact, ())
 
     def tilted(degrees):
         q = trial.q.copy()
@@ -445,7 +446,7 @@ def test_migration_is_what_encoders_tell():
         return replace(trial, q=q)
 
     def migration(t, cuff):
-        d = designed.largest_deflection([t], model, contact, cuff)
+        d = replace(who, trials=(t,)).largest_deflection(cuff)
         # Device's point in the human's frame, along the limb, by rigid bodies.
         human, device = model.tree.cuffs[cuff]
         own = contact.bushings[cuff].origin
@@ -462,7 +463,7 @@ def test_migration_is_what_encoders_tell():
         Moved(tilted(2.0), None, trial, tilted(2.4)),
         Moved(tilted(9.0), None, trial, None),
     ]
-    found = designing.slid(moved, model, contact)
+    found = designing.slid(moved, who)
     for cuff in ("thigh", "pelvis"):
         seen, had = (
             max(migration(t, cuff) for t in (a, b))
@@ -474,8 +475,8 @@ def test_migration_is_what_encoders_tell():
         assert found[cuff] == pytest.approx(np.clip(seen / had, 1.0, 4.0))
     assert found["pelvis"] > 1.05
     less = [Moved(tilted(2.4), None, trial, tilted(2.0))]
-    assert set(designing.slid(less, model, contact).values()) == {1.0}
-    assert designing.slid(moved[2:], model, contact) == {}
+    assert set(designing.slid(less, who).values()) == {1.0}
+    assert designing.slid(moved[2:], who) == {}
 
 
 def test_a_device_s_torques_are_on_the_clock_that_is_found(monkeypatch):

@@ -59,6 +59,11 @@ def wearer(model: Model, name="somebody", duration_s=1.5) -> Wearer:
     return Wearer(name, model, contact, (trial(model, duration_s),))
 
 
+def each(wearer: Wearer, what: str) -> dict:
+    """Cuff -> what a method of the wearer says of it."""
+    return {c: getattr(wearer, what)(c) for c in wearer.contact.bushings}
+
+
 def as_guessed(problem):
     """The result of a solver that leaves a design's program as it is."""
 

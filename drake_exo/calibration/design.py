@@ -12,7 +12,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -316,7 +315,7 @@ class _Wearing(PhaseProblem):
         for cuff, force in movement.cuffs.items():
             differ = self.wearer.shown(cuff)
             most = np.full(3, np.inf)
-            today = self._today.largest_forces[cuff]
+            today = self._today.largest_force(cuff)
             for k, _, limit in limits.of_forces(today):
                 most[k] = min(most[k], limit)
             most[NORMAL] /= differ
@@ -381,7 +380,7 @@ class _Wearing(PhaseProblem):
 
     def _limit_migration(self, movement, cuff: str) -> None:
         prog, grid = self.program.prog, movement.grid
-        today = self._today.largest_deflections[cuff][TANGENTIAL]
+        today = self._today.largest_deflection(cuff)[TANGENTIAL]
         wanted = self._most_migration(cuff)
         slid = self._new(
             movement,
@@ -436,7 +435,7 @@ class _Wearing(PhaseProblem):
         differ = self.wearer.shown(cuff)
         settings = self.posed.settings
         area_m2 = settings.freedom(cuff).area_m2
-        today = 1e-3 * self._today.largest_forces[cuff][NORMAL] / area_m2
+        today = 1e-3 * self._today.largest_force(cuff)[NORMAL] / area_m2
         most = self._allowed(settings.limits.pressure_kpa / differ, today)
         pressed = self._new(
             movement, cuff, "pressure", ("kPa", differ), 1.0, most
@@ -452,7 +451,7 @@ class _Wearing(PhaseProblem):
         """Limit how fast normal force changes from each node to the next."""
         differ, steps = self.wearer.shown(cuff), np.diff(movement.grid.times)
         limit, n = self.posed.settings.limits.rate_n_s / differ, len(steps)
-        most = self._allowed(limit, self._today.largest_rates[cuff])
+        most = self._allowed(limit, self._today.largest_rate(cuff))
         unit = "N/s", differ
         rate = self._new(movement, cuff, _RATE, unit, 100.0, most, n)
         rise = np.diff(np.eye(n + 1), axis=0)
@@ -494,7 +493,7 @@ class _Wearing(PhaseProblem):
                 [0.0],
                 np.concatenate([*sizes, mean]),
             ).evaluator().set_description(name)
-            today = self._today.mean_forces[cuff]
+            today = self._today.mean_force(cuff)
             most = self._allowed(limit / differ, today)
             prog.AddBoundingBoxConstraint([0.0], [most], mean)
 
@@ -818,14 +817,15 @@ class DesignProblem(Compiles):
         ]
         design = design_of(values, self.without)
         wearers = {}
-        for part in self.parts:
+        for part, wearer in zip(self.parts, self.wearers, strict=True):
             trials = [
                 replace(part.read(m, t, x), name=own.name)
                 for m, t, own in zip(
                     part.movements, part.trials, part.wearer.trials, strict=True
                 )
             ]
-            wearers[part.wearer.name] = WearerResult(part, design, trials)
+            worn = replace(wearer.on(design), trials=tuple(trials))
+            wearers[wearer.name] = worn
         return DesignResult(self, solution, compiled, values, wearers)
 
 
@@ -838,72 +838,6 @@ def _held(v: Variable, held: Mapping[str, float] | bool) -> Variable:
 
 
 @dataclass(frozen=True)
-class WearerResult:
-    """What a design makes of one wearer's movements.
-
-    Attributes:
-        problem: the wearer's part of the program.
-        design: what is worn.
-        trials: the solution of each movement, named as measured.
-    """
-
-    problem: _Wearing
-    design: Design
-    trials: list[Trial]
-
-    @property
-    def norm(self) -> Norm:
-        """The norm of the cuffs' forces, see `norm_of`."""
-        shown = self.problem.wearer.shown
-        return norm_of(
-            self.trials, self.problem.posed.settings, self.design, shown
-        )
-
-    @cached_property
-    def largest_forces(self) -> dict[str, np.ndarray]:
-        """Cuff -> largest tangential, normal force, moment (3,) [N, N, N m]."""
-        forces = {
-            cuff: [np.abs(t.cuffs[cuff].components) for t in self.trials]
-            for cuff in self.problem.bushings
-        }
-        return {c: np.vstack(f).max(axis=0) for c, f in forces.items()}
-
-    @cached_property
-    def largest_rates(self) -> dict[str, float]:
-        """Cuff -> largest rate of its normal force [N/s]."""
-        return {
-            cuff: max(largest_rate(t, cuff) for t in self.trials)
-            for cuff in self.problem.bushings
-        }
-
-    @cached_property
-    def mean_forces(self) -> dict[str, float]:
-        """Cuff -> mean size of its normal force over time and trials [N]."""
-        return {
-            cuff: mean_force(self.trials, cuff)
-            for cuff in self.problem.bushings
-        }
-
-    @cached_property
-    def largest_deflections(self) -> dict[str, np.ndarray]:
-        """Cuff -> largest deflection (3,) over trials [m, m, rad]."""
-        built = self.design.bushings(self.problem.wearer.contact.bushings)
-        return {
-            cuff: kinematics.largest(self.trials, built[cuff].origin)
-            for cuff, kinematics in self.problem.bushings.items()
-        }
-
-    @cached_property
-    def largest_moments(self) -> np.ndarray:
-        """Largest moment of each of the person's joints (m,) [N m]."""
-        human = [
-            np.abs(t.moments[:, ~t.coordinates.is_device_joint])
-            for t in self.trials
-        ]
-        return np.vstack(human).max(axis=0)
-
-
-@dataclass(frozen=True)
 class DesignResult:
     """Result of a solved design.
 
@@ -913,14 +847,14 @@ class DesignResult:
         compiled: the program as solved; `problem.program` may have been added
             to since.
         values: name -> value of each design variable (straps as compliance).
-        wearers: wearer's name -> trials on the design.
+        wearers: by name, on the design, with the solution of each movement.
     """
 
     problem: DesignProblem
     solution: Solution
     compiled: SparseProgram
     values: dict[str, float]
-    wearers: dict[str, WearerResult]
+    wearers: dict[str, Wearer]
 
     @property
     def design(self) -> Design:
@@ -935,7 +869,13 @@ class DesignResult:
     @property
     def norm_n(self) -> float:
         """The norm of all cuffs' forces that was minimised [N]."""
-        return joint_norm(worn.norm for worn in self.wearers.values())
+        return joint_norm(self.norm(worn) for worn in self.wearers.values())
+
+    def norm(self, worn: Wearer) -> Norm:
+        """The norm of the cuffs' forces on one who wears the design."""
+        problem = self.problem
+        design = design_of(self.values, problem.without)
+        return norm_of(worn.trials, problem.settings, design, worn.shown)
 
     def slopes(self) -> dict[str, float]:
         """Derivative of the optimal cost by each design variable that is fixed.
@@ -957,21 +897,6 @@ class DesignResult:
         optimum = Optimum(program, y, border)
         slopes = optimum.cost_by_fixed(np.array(list(fixed.values()), int))
         return dict(zip(fixed, map(float, slopes), strict=True))
-
-
-def largest_rate(trial: Trial, cuff: str) -> float:
-    """Largest rate of a cuff's normal force, sample to sample [N/s]."""
-    rises = np.diff(trial.cuffs[cuff].normal) / np.diff(trial.times)
-    return float(np.abs(rises).max())
-
-
-def mean_force(trials: Sequence[Trial], cuff: str) -> float:
-    """Mean size of a cuff's normal force, over time and then trials [N]."""
-    means = [
-        np.trapezoid(np.abs(t.cuffs[cuff].normal), t.times) / t.duration
-        for t in trials
-    ]
-    return float(np.mean(means))
 
 
 class Norm(NamedTuple):
@@ -1033,6 +958,6 @@ def joint_norm(norms: Iterable[Norm]) -> float:
 def works(result: DesignResult) -> dict[str, float]:
     """Wearer -> work of the device along its movements of today [J]."""
     return {
-        name: found.problem.work(found.trials)
-        for name, found in result.wearers.items()
+        part.wearer.name: part.work(result.wearers[part.wearer.name].trials)
+        for part in result.problem.parts
     }

@@ -339,6 +339,40 @@ class Wearer:
             return np.zeros(given.shape)
         return given - self.passive(trial)
 
+    def largest_force(self, cuff: str) -> np.ndarray:
+        """Largest tangential, normal force, moment (3,) of a cuff [N, N m]."""
+        forces = [np.abs(t.cuffs[cuff].components) for t in self.trials]
+        return np.concatenate(forces).max(axis=0)
+
+    def largest_rate(self, cuff: str) -> float:
+        """Largest rate of its normal force, sample to sample [N/s]."""
+        rises = [
+            np.diff(t.cuffs[cuff].normal) / np.diff(t.times)
+            for t in self.trials
+        ]
+        return float(np.abs(np.concatenate(rises)).max())
+
+    def mean_force(self, cuff: str) -> float:
+        """Mean size of its normal force, over time and then trials [N]."""
+        means = [
+            np.trapezoid(np.abs(t.cuffs[cuff].normal), t.times) / t.duration
+            for t in self.trials
+        ]
+        return float(np.mean(means))
+
+    def largest_deflection(self, cuff: str) -> np.ndarray:
+        """Its largest deflection (3,) [m, m, rad]."""
+        own = self.contact.bushings[cuff]
+        geometry = BushingKinematics(self.model.tree, cuff, own.preload)
+        return geometry.largest(self.trials, own.origin)
+
+    @property
+    def largest_moments(self) -> np.ndarray:
+        """Largest moment of each of the person's joints (m,) [N m]."""
+        human = ~self.model.coordinates.is_device_joint
+        moments = [np.abs(t.moments[:, human]) for t in self.trials]
+        return np.concatenate(moments).max(axis=0)
+
     def slope(self, q: np.ndarray) -> np.ndarray:
         """Slope of the drives' torques by the device's angles, by `law`.
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from test_design_program import SETTINGS
-from worn import as_guessed
+from worn import as_guessed, each
 from worn import wearer as worn
 
 from drake_exo.calibration.design import DesignProblem
@@ -32,7 +32,7 @@ def wearer():
 def test_migration_beyond_its_limit_costs_more_than_forces_do(wearer):
     """2.5 times the objective's weight for all of it, either way."""
     today = as_guessed(DesignProblem([wearer], SETTINGS, held=True))
-    slid = today.wearers["somebody"].largest_deflections
+    slid = each(today.wearers["somebody"], "largest_deflection")
     limit = 1e3 * 0.5 * min(d[0] for d in slid.values())
     settings = replace(
         SETTINGS, weight=3.0, limits=DesignLimits(migration_mm=limit)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from program_bounds import bounds
 from program_derivatives import check_derivatives
-from worn import FORCES, FREEDOM, TORQUES_NM, as_guessed
+from worn import FORCES, FREEDOM, TORQUES_NM, as_guessed, each
 from worn import wearer as worn
 
 from drake_exo.calibration.design import (
@@ -315,8 +315,8 @@ def test_limits_are_on_what_is_felt(wearer, today):
     problem = DesignProblem([seen], settings, today=today)
     (part,) = problem.parts
     (movement,) = part.movements
-    before = today.wearers["somebody"].largest_forces
-    slid = today.wearers["somebody"].largest_deflections
+    before = each(today.wearers["somebody"], "largest_force")
+    slid = each(today.wearers["somebody"], "largest_deflection")
     for cuff, force in movement.cuffs.items():
         factor = seen.shown(cuff)
         along, _, moment = before[cuff]
@@ -354,7 +354,7 @@ def test_one_who_is_drawn_need_not_feel_less_than_today(wearer, today):
     )
     (part,) = problem.parts
     (movement,) = part.movements
-    for cuff, most in today.wearers["somebody"].largest_forces.items():
+    for cuff, most in each(today.wearers["somebody"], "largest_force").items():
         _, upper = bounds(problem, movement.cuffs[cuff])
         np.testing.assert_allclose(
             upper[:, 1:], np.tile(most[1:], (len(upper), 1))
@@ -436,8 +436,8 @@ def test_mean_and_rate_of_a_cuff_s_force_have_limits(wearer, today):
             assert values_of(problem, x, mean) == pytest.approx(np.mean(means))
             largest = max(np.abs(r).max() for r in rates)
             if drawn:
-                most = np.maximum(most, [own.mean_forces[cuff], largest])
-                assert own.largest_rates[cuff] == pytest.approx(largest)
+                most = np.maximum(most, [own.mean_force(cuff), largest])
+                assert own.largest_rate(cuff) == pytest.approx(largest)
             np.testing.assert_allclose(
                 np.ravel(bounds(problem, mean)), [0.0, most[0]]
             )
@@ -691,7 +691,7 @@ def test_peaks_and_work_of_a_trial(wearer, today):
 
     def peaks(*trials):
         worn = replace(today.wearers["somebody"], trials=list(trials))
-        return worn.largest_forces
+        return each(worn, "largest_force")
 
     # Where all is largest lies between two samples.
     top = np.sin(np.pi * own.times / own.duration).max() ** 2
@@ -713,7 +713,9 @@ def test_peaks_and_work_of_a_trial(wearer, today):
 def test_largest_deflections_and_moments(wearer, today):
     """Forces over stiffness, and the person's own moments."""
     (found,) = today.wearers["somebody"].trials
-    for cuff, far in today.wearers["somebody"].largest_deflections.items():
+    for cuff, far in each(
+        today.wearers["somebody"], "largest_deflection"
+    ).items():
         k = np.array(wearer.contact.bushings[cuff].stiffness)
         expected = np.abs(found.cuffs[cuff].components / k).max(axis=0)
         np.testing.assert_allclose(far, expected, rtol=1e-6, atol=1e-12)
