@@ -282,11 +282,15 @@ class Comparison:
         labels: shortest names that tell the folders apart.
         results: one for each label.
         trials: names of the trials that all results have.
+        runs: these trials as each result has them.
+        measured: likewise, as measured.
     """
 
     labels: tuple[str, ...]
     results: tuple[Results, ...]
     trials: tuple[str, ...]
+    runs: list[list[Trial]]
+    measured: list[list[Trial]]
 
     def text(self) -> str:
         """All tables as text, with marks of results that do not hold."""
@@ -324,15 +328,12 @@ class Comparison:
         measured trials differ, such as loads, axes or a belt.
         """
         found, sums = [], []
-        for r in self.results:
+        for r, measured in zip(self.results, self.measured, strict=True):
             asked = {k: r.summary.get(k) for k in _ASKED}
             asked["accepted"] = ", ".join(asked["accepted"] or ()) or None
             if r.phase == "prediction":  # else it is the value reached
                 asked["objective"] = r.summary.get("objective")
                 asked["contact"] = read_calibration(r.folder).contact.values()
-            measured = [
-                read_trial(r.folder, n, "measured") for n in self.trials
-            ]
             if self._is_of_one():
                 asked["model"] = asdict(read_model(r.folder))
                 asked["window"] = {
@@ -397,8 +398,8 @@ class Comparison:
 
         For a cuff over the trials in which a mat measured it, if any.
         """
-        measured = self.measured()
-        runs = [self.found(k) for k in range(len(self.results))] + [measured]
+        measured = self.measured[0]
+        runs = [*self.runs, measured]
         cuffs = dict.fromkeys(c for run in runs for t in run for c in t.cuffs)
         rows = {
             "ground reaction, vertical [N]": [
@@ -421,15 +422,6 @@ class Comparison:
             ]
         return rows
 
-    def found(self, k: int) -> list[Trial]:
-        """The common trials as the k-th result has them."""
-        return [read_trial(self.results[k].folder, n) for n in self.trials]
-
-    def measured(self) -> list[Trial]:
-        """The common trials as measured, by the first result."""
-        folder = self.results[0].folder
-        return [read_trial(folder, n, "measured") for n in self.trials]
-
     def figures(self) -> dict:
         """Figures of all results over the measured curves, by name.
 
@@ -437,8 +429,8 @@ class Comparison:
         """
         from drake_exo.report import figures
 
-        measured = self.measured()
-        runs = {label: self.found(k) for k, label in enumerate(self.labels)}
+        measured = self.measured[0]
+        runs = dict(zip(self.labels, self.runs, strict=True))
         if self._is_of_one():
             runs = {
                 label: [
@@ -483,14 +475,18 @@ def compare(folders: Sequence[str | Path]) -> Comparison:
             f"{first.folder} and {results[-1].folder} have no trial in "
             "common; compare results of the same trials"
         )
-    every = [read_trial(r.folder, common[0]).coordinates for r in results]
-    for r, coordinates in zip(results, every, strict=True):
-        if coordinates.names != every[0].names:
+    runs, measured = (
+        [[read_trial(r.folder, n, *source) for n in common] for r in results]
+        for source in ((), ("measured",))
+    )
+    for r, (trial, *_) in zip(results, runs, strict=True):
+        if trial.coordinates.names != runs[0][0].coordinates.names:
             raise InputError(
                 f"{first.folder} and {r.folder} are of models with other "
                 "coordinates; compare results of one model"
             )
-    return Comparison(_labels([r.folder for r in results]), results, common)
+    labels = _labels([r.folder for r in results])
+    return Comparison(labels, results, common, runs, measured)
 
 
 def _results(folder: Path) -> Results:
