@@ -171,7 +171,6 @@ def wearer(
         contact: calibrated.
         moved: own movements on the cuffs of today.
     """
-    told = [m.seen for m in moved if m.seen is not None]
     who = Wearer(
         name,
         study.model,
@@ -180,13 +179,11 @@ def wearer(
         differ=differences(moved),
         device=study.device,
     )
-    law = posture_law(
-        told,
-        [who.drive(t) for t in told],
-        study.model,
-        study.prediction.noise.exo_moment_nm,
-    )
-    return replace(who, slid=slid(moved, who), law=law)
+    told = [m for m in moved if m.seen is not None]
+    seen = replace(who, trials=[m.seen for m in told])
+    had = replace(who, trials=[m.trial for m in told])
+    noise_nm = study.prediction.noise.exo_moment_nm
+    return replace(who, slid=slid(seen, had), law=posture_law(seen, noise_nm))
 
 
 def differences(moved: Sequence[Moved]) -> dict[str, float]:
@@ -211,7 +208,7 @@ def differences(moved: Sequence[Moved]) -> dict[str, float]:
     return found
 
 
-def slid(moved: Sequence[Moved], wearer: Wearer) -> dict[str, float]:
+def slid(seen: Wearer, had: Wearer) -> dict[str, float]:
     """Cuff -> its migration as encoders and markers tell it, over the model's.
 
     Each the largest of all trials with encoders, as what a design is limited
@@ -220,18 +217,10 @@ def slid(moved: Sequence[Moved], wearer: Wearer) -> dict[str, float]:
     taken back.
 
     Args:
-        moved: on the cuffs of today.
-        wearer: whose they are.
+        seen, had: with these trials by encoders, and by the model.
     """
-    told = [m for m in moved if m.seen is not None]
-    if not told:
-        return {}
-    seen, had = (
-        replace(wearer, trials=trials)
-        for trials in ([m.seen for m in told], [m.trial for m in told])
-    )
     found = {}
-    for cuff in wearer.contact.bushings:
+    for cuff in seen.contact.bushings if seen.trials else ():
         ratio = seen.largest_deflection(cuff)[TANGENTIAL]
         ratio /= had.largest_deflection(cuff)[TANGENTIAL]
         found[cuff] = float(np.clip(ratio, 1.0, _SWINGS))

@@ -118,12 +118,7 @@ class OwnMovement(PhaseProblem):
         ]
 
 
-def posture_law(
-    trials: Sequence[Trial],
-    drives: Sequence[np.ndarray],
-    model: Model,
-    noise_nm: float,
-) -> dict[str, np.ndarray]:
+def posture_law(wearer: Wearer, noise_nm: float) -> dict[str, np.ndarray]:
     """How a device's drive torques depend on its posture, from recordings.
 
     A drive that carries weight gives moments in proportion to the sine of the
@@ -132,19 +127,19 @@ def posture_law(
     not follow posture.
 
     Args:
-        trials: with the device's true motion; the law is empty without any.
-        drives: torques (n, m) in each trial, as from `Wearer.drive` [N m].
-        model: subject and device.
-        noise_nm: standard deviation of the device's torques.
+        wearer: whose trials have the device's true motion; the law is empty
+            without any.
+        noise_nm: standard deviation of the device's torques [N m].
 
     Returns:
         Joint whose drive follows posture -> torque by the sine of each link's
         inclination (m,) [N m], links in the order of the device's joints.
     """
+    trials, model, law = wearer.trials, wearer.model, {}
     if not trials:
-        return {}
-    names, law = model.coordinates, {}
-    drive = np.concatenate(drives)
+        return law
+    names = model.coordinates
+    drive = np.concatenate([wearer.drive(t) for t in trials])
     leant = np.sin(np.concatenate([_inclined(model, t.q) for t in trials]))
     for i, joint in enumerate(names.device):
         above = links_above(model, joint)

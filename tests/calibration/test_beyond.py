@@ -172,30 +172,28 @@ def trials_of(wearer):
 
 
 def test_recordings_tell_how_drives_go_by_posture(wearer):
-    model = wearer.model
     trials = [led(t) for t in trials_of(wearer)]
 
-    def drives(trials):  # less the friction that is led
-        own = model.coordinates.is_device_joint
-        return [t.moments[:, own] - 0.7 for t in trials]
+    def law(trials, noise_nm=0.3, wearer=wearer):
+        return posture_law(replace(wearer, trials=trials), noise_nm)
 
-    law = posture_law(trials, drives(trials), model, 0.3)
-    assert list(law) == ["exo_knee", "exo_hip"]
-    for joint, by in law.items():
+    found = law(trials)
+    assert list(found) == ["exo_knee", "exo_hip"]
+    for joint, by in found.items():
         np.testing.assert_allclose(by, LAW[joint], atol=1e-6)
     # Torques that posture does not tell to within their noise.
     other = [led(t, np.sin(30.0 * t.times)) for t in trials]
-    assert posture_law(other, drives(other), model, 0.3) == {}
-    assert set(posture_law(other, drives(other), model, 1.0)) == set(LAW)
+    assert law(other) == {}
+    assert set(law(other, 1.0)) == set(LAW)
     # Drives that hardly give more than noise.
-    assert posture_law(trials, drives(trials), model, 50.0) == {}
+    assert law(trials, 50.0) == {}
     # Springs of a device that carries nothing are none.
     passive = replace(wearer, device=Device())
     said = {"moments": {"exoskeleton": "device model"}}
     modelled = [replace(t, provenance=said) for t in trials]
-    given = [passive.drive(t) for t in modelled]
-    assert posture_law(modelled, given, model, 0.3) == {}
-    assert posture_law([], [], model, 0.3) == {}
+    assert law(modelled) != {}
+    assert law(modelled, wearer=passive) == {}
+    assert law([]) == {}
 
 
 def test_slope_by_posture_is_that_of_differences(wearer):
