@@ -408,7 +408,7 @@ class Worker:
         return self._process.stdout
 
     def end(self) -> Ended | None:
-        """Wait for the job; how it ended, None to try it again."""
+        """Wait for the job; how it ended, None if it was begun again."""
         job, self.job = self.job, None
         try:
             answer = pickle.load(self._process.stdout)
@@ -431,6 +431,7 @@ class Worker:
         if self.memory_mb is not None and any(w in said for w in _NO_MEMORY):
             return Ended(job.name, "memory", error=self._too_large(), **how)
         if self.attempt < ATTEMPTS:
+            self.start(job, self.attempt + 1)
             return None
         word = signal.Signals(-code).name if code < 0 else f"code {code}"
         last = said.strip().splitlines()[-1:] if code >= 0 else []
@@ -500,15 +501,8 @@ class Processes(Pool):
     def wait(self, seconds: float) -> list[Ended]:
         """See `Pool`."""
         busy = {w.pipe: w for w in self._workers if w.job is not None}
-        ended = []
-        for pipe in wait_for(list(busy), seconds):
-            worker, job = busy[pipe], busy[pipe].job
-            row = worker.end()
-            if row is None:
-                worker.start(job, worker.attempt + 1)
-            else:
-                ended.append(row)
-        return ended
+        rows = [busy[pipe].end() for pipe in wait_for(list(busy), seconds)]
+        return [row for row in rows if row is not None]
 
     def running(self) -> dict[str, float]:
         """See `Pool`."""
@@ -598,11 +592,9 @@ def run_on_worker(job: Job, memory_mb: int | None) -> Ended:
     worker = getattr(_HERE, "worker", None)
     if worker is None or worker.memory_mb != memory_mb:
         worker = _HERE.worker = Worker(memory_mb)
-    ended, attempt = None, 0
-    while ended is None:
-        attempt += 1
-        worker.start(job, attempt)
-        ended = worker.end()
+    worker.start(job)
+    while (ended := worker.end()) is None:
+        pass
     return ended
 
 

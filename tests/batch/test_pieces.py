@@ -134,8 +134,13 @@ def died(monkeypatch, code, said=b"", attempt=3, memory_mb=None):
     )
     worker._said = io.BytesIO(said)
     monkeypatch.setattr(jobs.time, "monotonic", lambda: 14.0)
-    ended = worker._died(Job("a", "m:f"))
+    begun = []
+    monkeypatch.setattr(worker, "start", lambda *said: begun.append(said))
+    job = Job("a", "m:f")
+    ended = worker._died(job)
     assert worker._process is None
+    # By the same worker, counted.
+    assert begun == ([(job, attempt + 1)] if ended is None else [])
     return ended
 
 
@@ -163,19 +168,16 @@ def test_a_pool_knows_for_how_long_its_jobs_run(monkeypatch):
     assert (pool.room(), pool.workers()) == (1, 3)
 
 
-def test_a_job_that_was_lost_is_begun_once_more(monkeypatch):
-    """By the same worker, counted; one that has ended is handed over."""
+def test_a_job_that_was_begun_once_more_has_not_ended(monkeypatch):
+    """One that has is handed over."""
     pool = jobs.Processes(2)
     lost, done = pool._workers
-    begun = []
     for worker, row in ((lost, None), (done, Ended("b", "done"))):
-        worker.job, worker.attempt = Job("a" if row is None else "b", "m:f"), 2
+        worker.job = Job("a" if row is None else "b", "m:f")
         monkeypatch.setattr(worker, "end", lambda row=row: row)
-        monkeypatch.setattr(worker, "start", lambda *said: begun.append(said))
     monkeypatch.setattr(Worker, "pipe", property(id))
     monkeypatch.setattr(jobs, "wait_for", lambda pipes, seconds: pipes)
     assert pool.wait(0.1) == [Ended("b", "done")]
-    assert begun == [(Job("a", "m:f"), 3)]
 
 
 class Dask:
