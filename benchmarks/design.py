@@ -46,8 +46,8 @@ def main() -> None:
         dx.read_contact(args.calibration),
     )
     settings = study.design
-    moved = movements(study, contact, settings)
-    somebody = wearer(study.name, study, contact, moved)
+    who = Wearer(study.name, study.model, contact, (), device=study.device)
+    somebody = wearer(study, who, movements(study, who, settings))
     rows = []
     for size, (trials, count) in SIZES.items():
         people = wearers_of(somebody, trials, count)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from operator import attrgetter
 
 import numpy as np
@@ -117,7 +116,13 @@ def design(
     if len(names) > 1:  # files are called after them
         _check_labels(names, studies)
     worn = [
-        Wearer(name, own.model, own.worn(contact), own.trials("prediction"))
+        Wearer(
+            name,
+            own.model,
+            own.worn(contact),
+            own.trials("prediction"),
+            device=own.device,
+        )
         for name, own, contact in zip(names, studies, contacts, strict=True)
     ]
     check_wearers(worn, settings)  # told before minutes of solving
@@ -129,8 +134,8 @@ def design(
         own.warn_of(who.trials)
         found = find_clocks(own, who.trials, who.contact)
         clocks[who.name] = found
-        before[who.name] = movements(own, who.contact, settings, clocks=found)
-        wearers.append(wearer(who.name, own, who.contact, before[who.name]))
+        before[who.name] = movements(own, who, settings, clocks=found)
+        wearers.append(wearer(own, who, before[who.name]))
     everybody = [w for own in wearers for w in _wearers(own, settings)]
     today = DesignProblem.of_today(everybody, settings).solve(
         on_iterate=SolveWatch("today")
@@ -145,14 +150,7 @@ def design(
 
     def forecast(found: DesignResult) -> dict[str, list[Moved]]:
         return {
-            w.name: movements(
-                own,
-                w.contact,
-                settings,
-                found.design,
-                w,
-                clocks[w.name],
-            )
+            w.name: movements(own, w, settings, found.design, clocks[w.name])
             for w, own in zip(wearers, studies, strict=True)
         }
 
@@ -160,25 +158,16 @@ def design(
     return _with_parts(made) if parts and not made.stopped else made
 
 
-def wearer(
-    name: str, study: Study, contact: ContactModel, moved: Sequence[Moved]
-) -> Wearer:
+def wearer(study: Study, who: Wearer, moved: Sequence[Moved]) -> Wearer:
     """Somebody calibrated, with what recordings tell besides.
 
     Args:
-        name: unique.
         study: whose recordings.
-        contact: calibrated.
+        who: the same with recorded trials.
         moved: own movements on the cuffs of today.
     """
-    who = Wearer(
-        name,
-        study.model,
-        contact,
-        tuple(m.trial for m in moved),
-        differ=differences(moved),
-        device=study.device,
-    )
+    own = tuple(m.trial for m in moved)
+    who = replace(who, trials=own, differ=differences(moved))
     told = [m for m in moved if m.seen is not None]
     seen = replace(who, trials=[m.seen for m in told])
     had = replace(who, trials=[m.trial for m in told])
@@ -262,56 +251,50 @@ def _check_labels(names: Sequence[str], studies: Sequence[Study]) -> None:
 
 def movements(
     study: Study,
-    contact: ContactModel,
+    who: Wearer,
     settings: DesignSettings,
     design: Design | None = None,
-    who: Wearer | None = None,
     clocks: Sequence[Clock] = (),
 ) -> list[Moved]:
     """Own movements of a study's trials on its cuffs, or on a design.
 
     Args:
         study: whose trials.
-        contact: of the cuffs of today.
+        who: the wearer; with a design, one whose joints answer where the
+            device goes another way than on the cuffs of today, see `wearer`.
         settings: grid and solver.
         design: nothing changed by default.
-        who: with a design, its wearer, whose joints answer where the device
-            goes another way than on the cuffs of today.
         clocks: of the trials, as found; torques are on that of the encoders.
 
     Raises:
         InputError: a movement cannot be solved; or likewise.
     """
-    check_knows_cuffs(contact, study.model)
-    is_today, design = design is None, design or Design()
-    design.check(study.model)
+    check_knows_cuffs(who.contact, who.model)
+    there = who if design is None else who.on(design)
     trials = [retimed(t, clocks) for t in study.trials("prediction")]
-    built = design.contact(contact)
     # Its noise and errors, on the grid of the design.
     phase = replace(study.prediction, solver=settings.solver, guess="data")
     found = []
     progress = Progress("own movements", len(trials))
     for k, trial in enumerate(trials):
-        if who is None:
-            posed, more = trial, springs_answer(trial, study.device)
+        contact, seen = timed(there.contact, trial, clocks), None
+        if design is None:
+            posed, more = trial, springs_answer(trial, who.device)
         else:
-            posed = assisted(trial, design, contact, who.passive(trial))
+            posed = assisted(trial, design, who.contact, who.passive(trial))
             more = answer(trial, who, who.trials[k], design)
         result = solved(
             OwnMovement(
-                design.model(study.model),
+                there.model,
                 [posed],
-                timed(built, trial, clocks),
+                contact,
                 phase,
                 answers={trial.name: more},
             ),
             f"trial {trial.name}: the movement does not fit these cuffs",
         )
-        seen = (
-            how_it_was(trial, study.model, timed(contact, trial, clocks), phase)
-            if is_today and "encoders" in trial.provenance
-            else None
-        )
+        if design is None and "encoders" in trial.provenance:
+            seen = how_it_was(trial, who.model, contact, phase)
         found.append(Moved(result.trials[0], bands(result), trial, seen))
         progress.update(trial.name, len(found))
     return found
@@ -338,8 +321,9 @@ def on_design(
     who = Wearer(study.name, study.model, contact, trials, device=study.device)
     worn = [assisted(t, design, contact, who.passive(t)) for t in trials]
     if all(trial.moments is not None for trial in trials):
-        moved = partial(movements, study, contact, study.design, clocks=clocks)
-        who = wearer(study.name, study, contact, moved())
+        before = movements(study, who, study.design, clocks=clocks)
+        who = wearer(study, who, before)
+        after = movements(study, who, study.design, design, clocks)
         worn = [
             with_more(
                 own,
@@ -348,7 +332,7 @@ def on_design(
                 ),
             )
             for own, trial, today, there in zip(
-                worn, trials, who.trials, moved(design, who), strict=True
+                worn, trials, who.trials, after, strict=True
             )
         ]
     built = study.alone(worn)

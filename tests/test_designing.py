@@ -466,7 +466,7 @@ def test_migration_is_what_encoders_tell():
     ]
 
     def slid(moved):
-        return designing.wearer("she", study, contact, moved).slid
+        return designing.wearer(study, who, moved).slid
 
     found = slid(moved)
     for cuff in ("thigh", "pelvis"):
@@ -550,9 +550,10 @@ def test_a_prediction_s_torques_are_those_of_the_forecast(study, monkeypatch):
     soft = {"pelvis": CuffDesign(strap_normal_n_m=1000.0)}
     design = Design(soft)
     built, _ = on_design(own, contact, design)
-    before = designing.movements(own, contact, own.design)
-    who = designing.wearer(own.name, own, contact, before)
-    after = designing.movements(own, contact, own.design, design, who)
+    who = Wearer(own.name, own.model, contact, ())
+    before = designing.movements(own, who, own.design)
+    who = designing.wearer(own, who, before)
+    after = designing.movements(own, who, own.design, design)
     turn = np.array([-1.0, 1.0, -1.0])  # of the trunk's link, by the joints
     for trial, given, today, there in zip(
         own.trials("prediction"), built.trials(), before, after, strict=True
@@ -580,13 +581,14 @@ def test_drives_are_read_where_encoders_tell_of_the_device(monkeypatch):
     monkeypatch.setattr(
         designing, "posture_law", lambda *args: asked.append(args) or "law"
     )
-    found = designing.wearer("she", study, contact, [told, told])
+    who = Wearer("she", model, contact, ())
+    found = designing.wearer(study, who, [told, told])
     assert (found.name, found.law, found.trials) == ("she", "law", (own, own))
     ((of, noise),) = asked
     assert [t.name for t in of.trials] == ["seen", "seen"]
     assert of.model is model
     assert noise == study.prediction.noise.exo_moment_nm
-    blind = designing.wearer("she", study, contact, [Moved(own, None, own)])
+    blind = designing.wearer(study, who, [Moved(own, None, own)])
     assert blind.name == "she" and asked[1][0].trials == []
 
 
