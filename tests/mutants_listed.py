@@ -264,7 +264,7 @@ LISTED: dict[str, list[tuple[str, str]]] = {
             "MovedWeight(b, first + 1, segment, 1j * weight)",
             "MovedWeight(b, first + 1, segment, weight)",
         ),
-        ("duration += len(removed) * trial.duration", "pass"),
+        ("duration += len(design.removed) * trial.duration", "pass"),
     ],
     "drake_exo/collocation/bushing_kernels.py": [
         (

@@ -6,14 +6,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from worn import as_guessed, bands_of
+from worn import as_guessed, bands_of, norm_of
 from worn import wearer as worn
 
 from drake_exo import designed, designing
 from drake_exo.calibration.design import (
     DesignProblem,
     DesignResult,
-    norm_of,
     works,
 )
 from drake_exo.calibration.design_variables import Variable
@@ -284,8 +283,7 @@ def test_norms_of_wearers_and_of_the_forecast(made):
     own = made.wearers()
     for name, norms in own.items():
         result = made.today.wearers[name]
-        shown = lambda cuff, name=name: DIFFER[name].get(cuff, 1.0)  # noqa: E731
-        was = norm_of(result.trials, SETTINGS, shown=shown).newton
+        was = norm_of(result.trials, SETTINGS, differ=DIFFER[name]).newton
         assert norms["before"] == pytest.approx(was)
         assert norms["after"] != pytest.approx(was)
     # As it was promised, so it is forecast.

@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from drake_exo.calibration import design as posed
 from drake_exo.calibration.settings import CuffFreedom, JointFreedom
 from drake_exo.calibration.uncertainty import Bands
 from drake_exo.calibration.wearers import Wearer
@@ -57,6 +58,12 @@ def wearer(model: Model, name="somebody", duration_s=1.5) -> Wearer:
     """In the nominal contact."""
     contact = nominal_contact(model)
     return Wearer(name, model, contact, (trial(model, duration_s),))
+
+
+def norm_of(trials, settings, design=None, differ=()):
+    """The norm of somebody's trials on a design."""
+    who = Wearer("somebody", None, None, tuple(trials), differ=dict(differ))
+    return posed.norm_of(who, settings, design)
 
 
 def each(wearer: Wearer, what: str) -> dict:

@@ -731,7 +731,7 @@ class DesignProblem(Compiles):
             else:
                 self.variables[v.name] = self._variable(v)
         cuffs = len(self.wearers[0].model.cuffs)
-        own = [norm_of(w.trials, settings, shown=w.shown) for w in self.wearers]
+        own = [norm_of(w, settings) for w in self.wearers]
         durations = [t.duration for w in self.wearers for t in w.trials]
         scale = max(joint_norm(own), _LEAST_SCALE_N)
         weights_s = cuffs * sum(durations)
@@ -875,7 +875,7 @@ class DesignResult:
         """The norm of the cuffs' forces on one who wears the design."""
         problem = self.problem
         design = design_of(self.values, problem.without)
-        return norm_of(worn.trials, problem.settings, design, worn.shown)
+        return norm_of(worn, problem.settings, design)
 
     def slopes(self) -> dict[str, float]:
         """Derivative of the optimal cost by each design variable that is fixed.
@@ -919,10 +919,7 @@ class Norm(NamedTuple):
 
 
 def norm_of(
-    trials: Sequence[Trial],
-    settings: DesignSettings,
-    design: Design | None = None,
-    shown: Callable[[str], float] = lambda cuff: 1.0,
+    wearer: Wearer, settings: DesignSettings, design: Design | None = None
 ) -> Norm:
     """The norm of one wearer's trials.
 
@@ -930,20 +927,19 @@ def norm_of(
     relative to today's. A cuff that is left out counts as one without force.
 
     Args:
-        trials: solved.
+        wearer: with solved trials.
         settings: the design's.
         design: on which the trials were; nothing changed by default.
-        shown: factor on a cuff's force for what mats would show, see Wearer.
     """
-    cuffs = {} if design is None else design.cuffs
-    removed = () if design is None else design.removed
+    design = design or Design()
     p, total, duration = settings.exponent, 0.0, 0.0
-    for trial in trials:
-        duration += len(removed) * trial.duration
+    for trial in wearer.trials:
+        duration += len(design.removed) * trial.duration
         for cuff, force in trial.cuffs.items():
             square = force.normal**2
             square = square + settings.shear_weight * force.tangential**2
-            square *= (shown(cuff) / cuffs.get(cuff, CuffDesign()).area) ** 2
+            area = design.cuffs.get(cuff, CuffDesign()).area
+            square *= (wearer.shown(cuff) / area) ** 2
             total += float(np.trapezoid(square ** (p / 2), trial.times))
             duration += trial.duration
     return Norm(total, duration, p)

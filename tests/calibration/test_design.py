@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy import sparse
-from worn import FREEDOM, each
+from worn import FREEDOM, each, norm_of
 
 from drake_exo.calibration import design as posed
-from drake_exo.calibration.design import DesignProblem, norm_of, works
+from drake_exo.calibration.design import DesignProblem, works
 from drake_exo.calibration.design_variables import GAINS, design_variables
 from drake_exo.calibration.error_model import NO_ERRORS
 from drake_exo.calibration.settings import (

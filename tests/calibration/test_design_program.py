@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from program_bounds import bounds
 from program_derivatives import check_derivatives
-from worn import FORCES, FREEDOM, TORQUES_NM, as_guessed, each
+from worn import FORCES, FREEDOM, TORQUES_NM, as_guessed, each, norm_of
 from worn import wearer as worn
 
 from drake_exo.calibration.design import (
     DesignProblem,
     Norm,
     joint_norm,
-    norm_of,
     works,
 )
 from drake_exo.calibration.design_variables import (
@@ -672,7 +671,7 @@ def test_the_norm_by_hand():
     assert norm_of([one], settings).newton == pytest.approx(5.0)
     design = Design({"thigh": CuffDesign(area=2.0)})
     assert norm_of([one], settings, design).newton == pytest.approx(2.5)
-    shown = norm_of([one], settings, shown=lambda cuff: 3.0)
+    shown = norm_of([one], settings, differ={"thigh": 3.0})
     assert shown.newton == pytest.approx(15.0)
     gone = Design({"shank": CuffDesign(removed=True)})
     half = norm_of([one], settings, gone)
