@@ -251,8 +251,8 @@ class Wearer:
     Attributes:
         name: unique.
         model: subject and device.
-        contact: calibrated, with today's cuffs.
-        trials: own movements on them, solved (`OwnMovement`).
+        contact: calibrated, with today's cuffs; or those of a design (`on`).
+        trials: recorded; or own movements on these cuffs (`OwnMovement`).
         is_drawn: whether drawn from a posterior or of another size: a limit
             exceeded today is then raised to today's value.
         differ: cuff -> ratio of its force as mats show it today to the model's;

@@ -115,15 +115,6 @@ def not_solved_uncalibrated(summary: dict[str, Any]) -> list[str]:
     return [row["trial"] for row, usual in pairs if usual is None]
 
 
-def is_design(folder: Path) -> bool:
-    """Whether `drake-exo design` wrote a folder."""
-    path = Path(folder) / "summary.json"
-    if not path.exists():
-        return False
-    found = read_json(path, "run the command that wrote it again")
-    return isinstance(found, dict) and found.get("phase") == "design"
-
-
 def gather(folder: Path, accept: Sequence[str] | None = None) -> list[Results]:
     """All results under a folder, in the order of their paths.
 

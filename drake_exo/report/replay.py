@@ -29,7 +29,7 @@ from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.plant import Model
 from drake_exo.player import Arrow, Clip, Page, write_page
-from drake_exo.report.gathering import Results, gather, is_design
+from drake_exo.report.gathering import Results, gather
 from drake_exo.report.scene import (
     Scene,
     View,
@@ -179,7 +179,6 @@ _SCALES = {
     _GROUND_SCALE: "Feet and chair: an arrow of 0.5 m is 500 N.",
     _CUFF_SCALE: "Cuffs (force on the human): 0.2 m is 50 N.",
 }
-_AGAIN = "run 'drake-exo design' again"
 _AROUND, _SUMMED = "Grid: 0.25 m.", "Both legs are summed."
 
 
@@ -196,9 +195,12 @@ def replay_results(
     Raises:
         InputError: no results, of several models, or none that succeeded.
     """
-    if is_design(folder):
-        _replay_design(folder, path)
-        return
+    summary = folder / "summary.json"
+    if summary.exists():
+        told = read_json(summary, "run the command that wrote it again")
+        if isinstance(told, dict) and told.get("phase") == "design":
+            _replay_design(folder, told, path)
+            return
     found = sorted(gather(folder, accept), key=lambda r: _ORDER.index(r.phase))
     model = read_model(found[0].folder)
     trials = []
@@ -212,9 +214,8 @@ def replay_results(
     write_replay(path, model, trials, _title(found))
 
 
-def _replay_design(folder: Path, path: Path) -> None:
+def _replay_design(folder: Path, summary: dict, path: Path) -> None:
     """Write the page of a design's first wearer, beside today's device."""
-    summary = read_json(folder / "summary.json", _AGAIN)
     if not summary.get("success"):
         raise InputError(
             f"{folder}: holds no solved design to replay; see its summary.json"
