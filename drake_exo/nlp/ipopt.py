@@ -76,7 +76,8 @@ class SolverOptions:
             the constraints' curvature, which tight bounds may need. "patient",
             skipped if bounds are known that may be in the way, is adaptive and
             never given up. `near_solution` puts "near" before them, for starts
-            near a solution: the barrier begins low, and bounds do not repel.
+            near a solution (the barrier begins low, and bounds do not repel),
+            and "exact" second.
         extra: further IPOPT options by name.
     """
 
@@ -87,7 +88,10 @@ class SolverOptions:
 
     def near_solution(self) -> "SolverOptions":
         """A copy for a start near a solution, see `strategies`."""
-        return replace(self, strategies=("near", *self.strategies))
+        # Where the program's Hessian creeps from there, the constraints'
+        # curvature is what it lacks; the others would creep as well.
+        rest = [s for s in self.strategies if s != "exact"]
+        return replace(self, strategies=("near", "exact", *rest))
 
 
 @dataclass(frozen=True)

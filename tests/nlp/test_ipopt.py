@@ -151,6 +151,17 @@ def test_a_second_strategy_is_tried_when_the_first_fails():
     assert not solution.success
     assert used[0] == "adaptive"
     assert "monotone" in used
+    used.clear()
+    few = SolverOptions(max_iterations=2).near_solution()
+    ipopt.solve(
+        SparseProgram(program),
+        np.zeros(6),
+        few,
+        on_iterate=lambda it: used.append(it.strategy),
+    )
+    attempts = [s for s in dict.fromkeys(used) if s != "elastic"]
+    assert attempts[:3] == ["near", "exact", "adaptive"]
+    assert attempts.count("exact") == 1
 
 
 def test_a_strategy_leaves_the_program_as_it_was():
