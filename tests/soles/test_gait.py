@@ -216,7 +216,7 @@ def test_what_cannot_be_simulated_has_no_limits():
 @pytest.mark.slow
 def test_sole_and_walk_are_sought_together(tmp_path):
     path = tmp_path / "case.yaml"
-    stage = "{samples: 40, layer_m: 3.0e-4, kappa: 0.2, iterations: 24}"
+    stage = "{samples: 40, layer_m: 3.0e-4, kappa: 0.2, iterations: 10}"
     text = _case(f"{stage}, {stage}").replace("[4, 3, 2]", "[8, 5, 2]")
     text = text.replace("{free:", "{period_s: 0.01, free:")
     path.write_text(text.replace("[3, 3]", "[5, 5]"))
