@@ -12,14 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from drake_exo.calibration.problem import PhaseResult, has_encoders
+from drake_exo.calibration.problem import (
+    PhaseResult,
+    check_coordinates,
+    has_encoders,
+)
 from drake_exo.collocation.bushing_kernels import UNITS
 from drake_exo.collocation.kernels import FORCE_UNIT, WRENCH_UNITS
 from drake_exo.collocation.transcription import stands_for
 from drake_exo.contact.bushing import CALIBRATED, ROTATION
 from drake_exo.contact.diagram import build_diagram, integrate
 from drake_exo.contact.systems import Chair_, TrackingController
-from drake_exo.errors import InputError
 from drake_exo.files.output import Check
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial
@@ -359,12 +362,7 @@ def rmsd(found: Trial, measured: Trial, loads: bool = True) -> dict:
         InputError: the measured trial is of another model.
     """
     names = found.coordinates
-    if measured.coordinates != names:
-        raise InputError(
-            f"trial {measured.name} has the coordinates "
-            f"{', '.join(measured.coordinates.names)}, but {found.name} has "
-            f"{', '.join(names.names)}; compare trials of one model"
-        )
+    check_coordinates(measured, names)
     at = measured.sample(found.times)
     times = found.times
     d_q, d_v = rms(found.q - at.q, times), rms(found.v - at.v, times)

@@ -40,6 +40,7 @@ from drake_exo.contact.parameters import (
 from drake_exo.errors import InputError, check_names, check_type
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.trial import CuffForce, Trial, as_trials
+from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model
 from drake_exo.nlp import infeasibility, ipopt
@@ -726,12 +727,7 @@ def _check_trials(
                     f"trials {other.name} and {trial.name} are the same part "
                     "of a recording, which would count twice; leave one out"
                 )
-        if trial.coordinates != own:
-            raise InputError(
-                f"trial {trial.name}: has the coordinates "
-                f"{', '.join(trial.coordinates.names)}, but the model has "
-                f"{', '.join(own.names)}; give trials of this model"
-            )
+        check_coordinates(trial, own)
         if trial.times[0] != 0.0:
             raise InputError(
                 f"trial {trial.name}: times must start at 0; subtract the "
@@ -779,6 +775,20 @@ def _check_trials(
                 f"trial {trial.name}: an angle reaches {turned:.3g} rad; give "
                 "q in radians, v and a likewise"
             )
+
+
+def check_coordinates(trial: Trial, own: Coordinates) -> None:
+    """Refuse a trial of a model with other coordinates.
+
+    Raises:
+        InputError: it names both.
+    """
+    if trial.coordinates != own:
+        raise InputError(
+            f"trial {trial.name}: has the coordinates "
+            f"{', '.join(trial.coordinates.names)}, but the model has "
+            f"{', '.join(own.names)}; give trials of this model"
+        )
 
 
 def _check_velocities(trials: list[Trial]) -> None:

@@ -135,16 +135,23 @@ def fold(study: Study, name: str) -> tuple[dict, Prediction | None]:
     # Nominal cuffs cannot tell a clock: both use the one found.
     measured = own.timed(left)
     row = {
+        "trial": name,
+        "success": True,
+        "stopped": False,
         "rmsd": own.rmsd(measured),
         "rmsd_uncalibrated": usual.rmsd(measured),
     }
-    told = {"trial": name, "success": True, "stopped": False}
-    return row | told, own
+    return row, own
 
 
 def _unsolved(name: str, stopped: bool) -> dict:
-    none = {"rmsd": None, "rmsd_uncalibrated": None}
-    return none | {"trial": name, "success": False, "stopped": stopped}
+    return {
+        "trial": name,
+        "success": False,
+        "stopped": stopped,
+        "rmsd": None,
+        "rmsd_uncalibrated": None,
+    }
 
 
 def verdict(folds: list[dict], alone: Sequence[str] = ()) -> dict:

@@ -260,7 +260,11 @@ def _is_number(value: Any) -> bool:
 
 # Keys of summary.json that say how a result was asked for.
 _ASKED = (
-    *("subject", "settings", "scale_interaction", "controller", "design"),
+    "subject",
+    "settings",
+    "scale_interaction",
+    "controller",
+    "design",
     "accepted",
 )
 

@@ -124,7 +124,7 @@ def test_a_trial_of_another_model_is_not_compared():
         moments=None,
         friction=None,
     )
-    with pytest.raises(InputError, match=r"hip, but .* exo_hip; compare"):
+    with pytest.raises(InputError, match=r"hip, but .* exo_hip; give trials"):
         rmsd(measured, other)
 
 
