@@ -6,7 +6,7 @@ from pathlib import Path
 
 from drake_exo.errors import InputError, check_type, path_of
 from drake_exo.files import schema
-from drake_exo.soles.mesh import TetMesh, checked_mesh
+from drake_exo.soles.mesh import TetMesh, check_mesh
 from drake_exo.soles.optimize.design import Design
 from drake_exo.soles.optimize.files import Checkpoint, read_checkpoint
 from drake_exo.soles.optimize.search import in_own_walk, optimise
@@ -148,5 +148,5 @@ class Case(Setup):
     def _check(self) -> None:
         """Refuse what a case made in Python may hold, and a file may not."""
         check_type(self.mesh, TetMesh, "mesh")
-        checked_mesh(self.mesh.nodes, self.mesh.tets, self.mesh.fixed, "mesh")
+        check_mesh(self.mesh, "mesh")
         self.check_load()

@@ -81,6 +81,8 @@ class TetMesh:
                     f"{('n', *columns)}".replace("'", "")
                 )
             values = np.array(given, kind)
+            if not columns:  # fixed: in whatever order it was given
+                values.sort()
             values.flags.writeable = False
             object.__setattr__(self, name, values)
         for name in ("tets", "fixed"):
@@ -505,13 +507,20 @@ def check_turned(places: np.ndarray, name) -> None:
 
 
 def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
-    """Build a mesh and refuse what cannot be simulated.
+    """A mesh of these arrays that can be simulated; see `check_mesh`."""
+    mesh = TetMesh(nodes, tets, fixed)
+    check_mesh(mesh, name)
+    return mesh
+
+
+def check_mesh(mesh: TetMesh, name: str) -> None:
+    """Refuse what cannot be simulated.
 
     Raises:
         InputError: Inverted, flat or repeated elements, a wrong size,
             unconnected parts, no top or no underside.
     """
-    mesh = TetMesh(nodes, tets, np.sort(fixed))
+    nodes, tets = mesh.nodes, mesh.tets
     floor = 1e-9 * np.median(np.abs(mesh.volumes))
     bad = np.flatnonzero(mesh.volumes <= floor)
     if len(bad):
@@ -549,7 +558,6 @@ def checked_mesh(nodes, tets, fixed, name: str) -> TetMesh:
             f"{name}: the nodes of faces that look downwards lie in a line; "
             "give a sole that has an underside"
         )
-    return mesh
 
 
 def write_vtk(path: Path | str, mesh: TetMesh) -> None:
