@@ -21,7 +21,7 @@ from pydrake.autodiffutils import (
 from pydrake.systems.framework import System
 from scipy.interpolate import CubicSpline
 
-from drake_exo.contact.bushing import BushingKinematics
+from drake_exo.contact.bushing import ROTATION, BushingKinematics
 from drake_exo.contact.hunt_crossley import (
     SphereWrench,
     sphere_wrench,
@@ -97,6 +97,8 @@ class DynamicsKernel:
         if load is not None:
             pattern[2:, :nq] = True
         self.sparsity = pattern
+        self.curved_inputs = pattern.any(axis=0)
+        self.curved_inputs[first : self._cuts[3]] = False  # joint torques
 
     def evaluate(self, x, data):
         """See Kernel."""
@@ -140,6 +142,39 @@ class DynamicsKernel:
         if self._load is not None:
             J[:, :, :nq] -= self._load.by_positions(q, data) / FORCE_UNIT
         return J
+
+    def curvature(self, x, weights, data):
+        """sum_i weights_i d2 f_i/dx2, (n, n_in, n_in)."""
+        q, v, a, _, _, _ = np.split(x, self._cuts, axis=1)
+        nq, w = self.num_positions, weights / FORCE_UNIT
+        H = np.zeros((len(x), x.shape[1], x.shape[1]))
+        H[:, : 3 * nq, : 3 * nq] = self.tree.inverse_dynamics_curvature(
+            q, v, a, w
+        )
+        for i, body in enumerate(self._bodies):
+            own = slice(self._cuts[3] + 3 * i, self._cuts[3] + 3 * i + 3)
+            by_q, by_wrench = self.tree.wrench_bends(q, body, x[:, own], w)
+            H[:, :nq, :nq] -= by_q
+            add_pair(H, slice(nq), own, -by_wrench)
+        for bushing, f, p in self._cuffs:
+            force = x[:, f]
+            terms = bushing.led(bushing.terms(q, x[:, p]), w)
+            turns = bushing.led(bushing.turns(q), w)
+            H[:, :nq, :nq] += bushing.curvature(terms, force)
+            by_q = bushing.deflection_jacobian(terms)[:, :ROTATION]
+            across = slice(f.start, f.start + ROTATION)
+            add_pair(H, across, slice(nq), by_q)
+            add_pair(H, across, p, bushing.by_places(turns))
+            add_pair(H, slice(nq), p, bushing.gradient_by_places(turns, force))
+        if self._load is not None:
+            H[:, :nq, :nq] -= self._load.bends(q, data, w)
+        return H
+
+
+def add_pair(H, rows, columns, part) -> None:
+    """Add a block and its mirror to Hessians (n, m, m)."""
+    H[:, rows, columns] += part
+    H[:, columns, rows] += np.swapaxes(part, 1, 2)
 
 
 class PoseKernel:
@@ -479,6 +514,13 @@ class AppliedWrench:
         """Derivatives (n, nq, nq) of `generalized` by q."""
         return sum(
             share * self._tree.wrench_curvature(q, body, wrench[:, own])
+            for own, share, body in self._bodies
+        )
+
+    def bends(self, q, wrench, weights) -> np.ndarray:
+        """Second derivatives (n, nq, nq) by q of weights . `generalized`."""
+        return sum(
+            share * self._tree.wrench_bends(q, body, wrench[:, own], weights)[0]
             for own, share, body in self._bodies
         )
 

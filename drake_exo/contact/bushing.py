@@ -30,7 +30,7 @@ import numpy as np
 
 from drake_exo.contact.scalars import any_scalar, cos, sin, sqrt
 from drake_exo.files.schema import quantity
-from drake_exo.model.planar_tree import PlanarTree
+from drake_exo.model.planar_tree import PlanarTree, contract
 
 COMPONENTS = ("tangential", "normal", "rotation")
 TANGENTIAL, NORMAL, ROTATION = range(3)
@@ -354,14 +354,12 @@ class BushingKinematics:
         """Hessian (n, nq, nq) by q of F · d, the force F (n, 3) held."""
         f = force[:, 1] + 1j * force[:, 0]
         c = -(np.conj(f)[:, None] * terms).real
-        return np.einsum(
-            "nk,ki,kj->nij", c, self.relative, self.relative, optimize=True
-        )
+        return contract(c, self.relative, self.relative)
 
     def gradient_by_places(self, turns, force):
         """d²(F · d)/(dq d places), (n, nq, num_places), F (n, 3) held."""
         f = force[:, 1] + 1j * force[:, 0]
         g = np.conj(f)[:, None] * 1j * turns
-        return np.einsum(
-            "nk,ki,kj->nij", g, self.relative, self._by, optimize=True
-        ).real
+        by = self._by
+        real = contract(g.real, self.relative, by.real)
+        return real - contract(g.imag, self.relative, by.imag)

@@ -235,10 +235,31 @@ class PlanarTree:
         moved = F_x * dz - F_z * dx
         return J + self.turning(body)[None, :, None] * moved[:, None, :]
 
+    def wrench_bends(self, q, body: str, wrench, weights):
+        """Second derivatives of weights . `wrench_on_body`.
+
+        Args:
+            q, body, wrench: as in `wrench_on_body`.
+            weights: (N, nq) of the generalized forces.
+
+        Returns:
+            By q twice (N, nq, nq), and by q and the wrench (N, nq, 3).
+        """
+        x, z = self.arms(q, body)
+        F_x, F_z = wrench.T[:2, :, None]
+        dx, dz = self.point_jacobian(q, body).transpose(1, 0, 2)
+        by_angle = weights @ self.angles_by_q.T
+        turned = (weights @ self.turning(body))[:, None]
+        own = (by_angle - turned) * (F_x * z - F_z * x)
+        by_x = turned * dz - (x * by_angle) @ self.angles_by_q
+        by_z = -turned * dx - (z * by_angle) @ self.angles_by_q
+        by_wrench = np.stack([by_x, by_z, 0.0 * by_x], axis=2)
+        return self.turned_twice(own), by_wrench
+
     def turned_twice(self, weights: np.ndarray) -> np.ndarray:
         """Hessians (N, nq, nq) by q, from (N, ns) by each absolute angle."""
         T = self.angles_by_q
-        return np.einsum("nk,ki,kj->nij", weights, T, T, optimize=True)
+        return contract(weights, T, T)
 
     def turned_alone(self, bodies, columns) -> np.ndarray:
         """Change of the coordinates (m, nq) if each body alone turns by 1 rad.
@@ -315,6 +336,57 @@ class PlanarTree:
         mass[:, 2:, 0] = base_columns.imag @ T
         mass[:, 2:, 1] = base_columns.real @ T
         return tuple(result)
+
+    def inverse_dynamics_curvature(self, q, v, vdot, weights) -> np.ndarray:
+        """Second derivatives of weights . `inverse_dynamics`.
+
+        Args:
+            q, v, vdot: as in `inverse_dynamics`.
+            weights: (N, nq) of its generalized forces.
+
+        Returns:
+            (N, 3 nq, 3 nq) by q, v, vdot.
+        """
+        w, phi_d, phi_dd, base = self._motion(q, v, vdot)
+        n, ns = w.shape
+        turned = (weights @ self.angles_by_q.T)[:, :, None]
+        alpha = (1j * phi_dd - phi_d**2)[:, None, :]
+        rate = -2.0 * phi_d[:, None, :]
+        # Weights times the moment on a segment, by the turning of another.
+        P = np.conj(w)[:, :, None] * self.second_moments * w[:, None, :]
+        P *= turned
+        # Weights times the force that turning segments exert on the base.
+        lead = weights[:, 0] - 1j * weights[:, 1]
+        f = lead[:, None] * np.conj(self.first_moments) * w
+        lever = turned[:, :, 0] * self.first_moments * np.conj(w)
+        index = np.arange(ns)
+
+        def by_angle(of_first, of_second, own):
+            """Blocks of d2/dphi d(phi, phi_d or phi_dd) on all segments."""
+            H = of_first
+            H[:, index, index] += of_second.sum(axis=1) + own
+            return H
+
+        S = (P * alpha).imag
+        twice = S + S.transpose(0, 2, 1)
+        own = -S.sum(axis=2) - (f * alpha[:, 0]).real
+        own -= (lever * base[:, None]).imag
+        by_phi = by_angle(twice, -S, own)
+        own = (1j * f * rate[:, 0]).real
+        by_phi_d = by_angle(-(P * rate).real, (P * rate).real, own)
+        by_phi_dd = by_angle(P.imag.copy(), -P.imag, -f.real)
+        nq, T = self.num_positions, self.angles_by_q
+        H = np.zeros((n, 3 * nq, 3 * nq))
+        for k, block in enumerate((by_phi, by_phi_d, by_phi_dd)):
+            part = T.T @ block @ T
+            if k == 2:
+                part[:, :, 0] -= lever.real @ T
+                part[:, :, 1] += lever.imag @ T
+            H[:, :nq, k * nq : (k + 1) * nq] = part
+            H[:, k * nq : (k + 1) * nq, :nq] = part.transpose(0, 2, 1)
+        own = -2.0 * (P.imag.sum(axis=1) + f.real)
+        H[:, nq : 2 * nq, nq : 2 * nq] = self.turned_twice(own)
+        return H
 
     def ground_reaction(self, q: np.ndarray, Q: np.ndarray) -> np.ndarray:
         """Wrench on the root equivalent to generalized forces Q of the root.
@@ -455,3 +527,10 @@ def _check_against_plant(tree: PlanarTree, plant: MultibodyPlant) -> None:
             "revolute joints about y: its inverse dynamics differ by "
             f"{np.abs(found - expected).max():.3g} from the planar ones"
         )
+
+
+def contract(weights, rows, columns) -> np.ndarray:
+    """sum_k weights_nk rows_ki columns_kj, (n, i, j), as one product."""
+    pairs = rows[:, :, None] * columns[:, None]
+    flat = weights @ pairs.reshape(len(pairs), -1)
+    return flat.reshape(-1, *pairs.shape[1:])

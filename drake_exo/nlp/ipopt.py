@@ -73,11 +73,11 @@ class SolverOptions:
         strategies: tried one after the other until one succeeds. "adaptive" and
             "monotone" are updates of the barrier with the program's Hessian
             (adaptive is faster, monotone survives strong noise). "exact" adds
-            the constraints' curvature, which tight bounds may need. "patient",
-            skipped if bounds are known that may be in the way, is adaptive and
-            never given up. `near_solution` puts "near" before them, for starts
-            near a solution (the barrier begins low, and bounds do not repel),
-            and "exact" second.
+            all curvature from the start, which tight bounds may need.
+            "patient", skipped if bounds are known that may be in the way, is
+            adaptive and never given up. `near_solution` puts "near" before
+            them, for starts near a solution: exact, the barrier begins low,
+            and bounds do not repel.
         extra: further IPOPT options by name.
     """
 
@@ -88,10 +88,7 @@ class SolverOptions:
 
     def near_solution(self) -> "SolverOptions":
         """A copy for a start near a solution, see `strategies`."""
-        # Where the program's Hessian creeps from there, the constraints'
-        # curvature is what it lacks; the others would creep as well.
-        rest = [s for s in self.strategies if s != "exact"]
-        return replace(self, strategies=("near", "exact", *rest))
+        return replace(self, strategies=("near", *self.strategies))
 
 
 @dataclass(frozen=True)
@@ -281,11 +278,11 @@ def solve(
                 continue  # it takes long, and bounds explain the failure
             watch = _Watch(problem, strategy, tell, stop)
             watches.append(watch)
-            problem.use_exact_hessian(exact or strategy == "exact")
+            problem.exact_hessian = exact or strategy in ("exact", "near")
             try:
                 y, objective, status = _attempt(problem, y0, options, watch)
             finally:
-                problem.use_exact_hessian(exact)
+                problem.exact_hessian = exact
             if status in _ACCEPTED or infeasible or stop.is_set():
                 break
             if binding is None and watch.best_key[0] > 0.0:

@@ -46,6 +46,7 @@ class SparseProgram:
         g_lower, g_upper: bounds on g.
         jacobian_structure: (rows, columns) of the nonzeros.
         hessian_structure: (rows, columns) of the lower triangle.
+        exact_hessian: whether all curvature enters `hessian`, everywhere.
         residual_blocks: least-squares terms of the cost.
         seconds: time spent by part, filled while solving.
         evaluations: calls by part.
@@ -85,17 +86,11 @@ class SparseProgram:
         # coefficients would cancel and lose digits.
         self._Q, self._b, self._c = program.quadratic_cost()
         self._lay_out_jacobian()
-        self._lay_out_hessian()
+        self._layouts = {}  # exact_hessian -> HessianLayout
 
     def start_again(self) -> None:
         """Reset to "far from feasible"; to be called before each attempt."""
         self._is_near = False
-
-    def use_exact_hessian(self, exact: bool) -> None:
-        """Set whether the curvature of all constraints, residuals is added."""
-        if self.exact_hessian != exact:
-            self.exact_hessian = exact
-            self._lay_out_hessian()
 
     def move_fixed(self, variable: int, step: float) -> None:
         """Change the value of a fixed program variable; y stays."""
@@ -121,16 +116,23 @@ class SparseProgram:
         )
         self._A_values = coo.data
 
-    def _lay_out_hessian(self):
-        matrix = self.unknowns.matrix
-        blocks = [*self.residual_blocks, *self.rows.blocks]
-        curved = [b for b in blocks if self._is_curved(b)]
-        self._hessian = HessianLayout(
-            matrix.T @ self._Q @ matrix,
-            self.residual_blocks,
-            [*self._costs, *curved],
-        )
-        self.hessian_structure = self._hessian.structure
+    @property
+    def hessian_structure(self) -> tuple[np.ndarray, np.ndarray]:
+        """See the attributes of the class."""
+        return self._layout.structure
+
+    @property
+    def _layout(self) -> "HessianLayout":
+        if self.exact_hessian not in self._layouts:
+            matrix = self.unknowns.matrix
+            blocks = [*self.residual_blocks, *self.rows.blocks]
+            curved = [b for b in blocks if self._is_curved(b)]
+            self._layouts[self.exact_hessian] = HessianLayout(
+                matrix.T @ self._Q @ matrix,
+                self.residual_blocks,
+                [*self._costs, *curved],
+            )
+        return self._layouts[self.exact_hessian]
 
     def _is_curved(self, block: "Block") -> bool:
         """Whether the curvature of a block may enter the Hessian."""
@@ -156,7 +158,7 @@ class SparseProgram:
                 self.g_lower,
                 self.g_upper,
                 self._b,
-                self._hessian.constant,
+                self._Q.data,
             ]
         )
         return digest.hexdigest(), values
@@ -309,23 +311,22 @@ class SparseProgram:
         return H
 
     def gauss_newton(self, y: np.ndarray) -> np.ndarray:
-        """The cost's part of `hessian`, as if without exact_hessian."""
-        return self._curved(y, 1.0, self._cost_weights(y, 1.0, exact=False))
+        """The cost's part of `hessian`, without its residuals' curvature."""
+        return self._curved(y, 1.0, self._cost_weights(1.0))
 
     def _curved(self, y, factor, weights):
         x, jacobians = self._expanded(y), self._residual_jacobians(y)
-        return self._hessian.values(factor, x, jacobians, weights)
+        return self._layout.values(factor, x, jacobians, weights)
 
-    def _cost_weights(self, y, factor, exact):
-        weights = {b: np.full((1, 1), factor) for b in self._costs}
-        terms = self._residual_terms(y)
-        for b, r in zip(self.residual_blocks, terms, strict=True):
-            if exact or hasattr(b.batch.kernel, "curvature"):
-                weights[b] = factor * r
-        return weights
+    def _cost_weights(self, factor):
+        return {b: np.full((1, 1), factor) for b in self._costs}
 
     def _curvature_weights(self, y, multipliers, factor):
-        weights = self._cost_weights(y, factor, self.exact_hessian)
+        weights = self._cost_weights(factor)
+        terms = self._residual_terms(y)
+        for b, r in zip(self.residual_blocks, terms, strict=True):
+            if self.exact_hessian or hasattr(b.batch.kernel, "curvature"):
+                weights[b] = factor * r
         if not self.exact_hessian:
             enough = _FAR if self._is_near else _NEARLY_FEASIBLE
             self._is_near = violation(self, y) <= enough

@@ -304,7 +304,7 @@ def tangent(program, y):
     g = program.constraints(y)
     held = np.minimum(g - program.g_lower, program.g_upper - g) < 1e-6
     H = np.zeros((n, n))
-    np.add.at(H, program.hessian_structure, program.hessian(y, 0.0 * g, 1.0))
+    np.add.at(H, program.hessian_structure, program.gauss_newton(y))
     H = H + H.T - np.diag(np.diag(H))
     Z = np.zeros((n, 0))
     inner = null_space(A[held][:, free])

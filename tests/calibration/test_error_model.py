@@ -16,8 +16,6 @@ from drake_exo.calibration.results import read_calibration, write_contact
 from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.calibration.uncertainty import bands, posterior
 from drake_exo.cli.crossvalidate import verdict
-from drake_exo.collocation.bushing_kernels import BushingKernel
-from drake_exo.contact.bushing import BushingKinematics
 from drake_exo.contact.parameters import Posterior
 from drake_exo.errors import InputError
 from drake_exo.measurement.kinematics import (
@@ -328,31 +326,6 @@ def test_bands_are_the_change_of_another_solve(in_device, estimated):
     )
     assert np.abs(actual).max() > 0.01
     assert np.abs(predicted - actual).max() < 0.15 * np.abs(actual).max()
-
-
-def test_curvature_of_a_bushing_is_that_of_its_jacobian(in_device):
-    bushing = BushingKinematics(in_device.model.tree, "thigh")
-    kernel = BushingKernel(bushing, np.zeros(3))
-    rng = np.random.default_rng(0)
-    nq = bushing.nq
-    x = np.hstack(
-        [
-            0.3 * rng.normal(size=(4, 2 * nq + 3)),
-            0.1 * rng.normal(size=(4, 2)),
-            1e3 * rng.uniform(0.5, 2.0, size=(4, 3)),
-            1e-3 * rng.uniform(0.5, 2.0, size=(4, 1)),
-        ]
-    )
-    weights = rng.normal(size=(4, 3))
-    H = kernel.curvature(x, weights, None)
-    for i in range(x.shape[1]):
-        step = np.zeros(x.shape[1])
-        step[i] = 1e-6 * np.abs(x[:, i]).max()
-        change = kernel.jacobian(x + step, None) - kernel.jacobian(
-            x - step, None
-        )
-        expected = np.einsum("nc,nci->ni", weights, change) / (2.0 * step[i])
-        np.testing.assert_allclose(H[:, :, i], expected, 1e-6, 1e-4)
 
 
 def test_a_damaged_posterior_is_refused(in_device, tmp_path):

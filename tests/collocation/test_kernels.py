@@ -201,9 +201,9 @@ def test_bushing_and_energy_derivatives(tree, segment):
     kernel = BushingKernel(bushing, (10.0, 10.0, 0.1))
     check_jacobian(kernel, x)
     _check_tight(kernel, x, 18)
-    # Springs alone are curved, not by rates nor by the force itself.
+    # Not curved by the force itself.
     np.testing.assert_array_equal(
-        kernel.curved_inputs[9:], [False] * 12 + [True] * 6
+        kernel.curved_inputs[18:], [False] * 3 + [True] * 6
     )
     columns = [*range(9), *range(21, 27)]
     weight = np.linspace(0.5, 2.0, len(x))[:, None]

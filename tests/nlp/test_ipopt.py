@@ -151,26 +151,16 @@ def test_a_second_strategy_is_tried_when_the_first_fails():
     assert not solution.success
     assert used[0] == "adaptive"
     assert "monotone" in used
-    used.clear()
-    few = SolverOptions(max_iterations=2).near_solution()
-    ipopt.solve(
-        SparseProgram(program),
-        np.zeros(6),
-        few,
-        on_iterate=lambda it: used.append(it.strategy),
-    )
-    attempts = [s for s in dict.fromkeys(used) if s != "elastic"]
-    assert attempts[:3] == ["near", "exact", "adaptive"]
-    assert attempts.count("exact") == 1
 
 
 def test_a_strategy_leaves_the_program_as_it_was():
     program, _ = valleys(radius=1.2)
     problem = SparseProgram(program)
     before = problem.hessian_structure
-    exact = SolverOptions(strategies=("exact",))
-    assert ipopt.solve(problem, np.zeros(6), exact).success
-    assert not problem.exact_hessian
+    for strategy in ("exact", "near"):
+        options = SolverOptions(strategies=(strategy,))
+        assert ipopt.solve(problem, np.zeros(6), options).success
+        assert not problem.exact_hessian
     np.testing.assert_array_equal(problem.hessian_structure, before)
 
 
