@@ -33,8 +33,9 @@ class Kernel(Protocol):
     A kernel may also have `curvature(x, weights, data)`: the Hessians
     (n, n_in, n_in) of its outputs, summed with weights (n, n_out). They are
     added to the Gauss-Newton terms in the Lagrangian's Hessian, for residuals
-    always, for constraints once they nearly hold. `curved_inputs` (n_in,) bool
-    may exclude inputs by which they are zero.
+    always, for constraints once they nearly hold, but with `exact_only` True
+    for exact Hessians alone. `curved_inputs` (n_in,) bool may exclude inputs by
+    which they are zero.
 
     Attributes:
         sparsity: (n_out, n_in) bool, True where the Jacobian may be nonzero.

@@ -140,7 +140,7 @@ class SparseProgram:
         if self.exact_hessian:
             return not hasattr(kernel, "A")
         # A constraint that a user adds may be curved in any way.
-        return hasattr(kernel, "curvature") or isinstance(kernel, BindingKernel)
+        return _bends(kernel) or isinstance(kernel, BindingKernel)
 
     def fingerprint(self) -> tuple[str, np.ndarray]:
         """Identity of the problem: digest of structure; bounds and costs.
@@ -325,7 +325,7 @@ class SparseProgram:
         weights = self._cost_weights(factor)
         terms = self._residual_terms(y)
         for b, r in zip(self.residual_blocks, terms, strict=True):
-            if self.exact_hessian or hasattr(b.batch.kernel, "curvature"):
+            if self.exact_hessian or _bends(b.batch.kernel):
                 weights[b] = factor * r
         if not self.exact_hessian:
             enough = _FAR if self._is_near else _NEARLY_FEASIBLE
@@ -348,6 +348,12 @@ class SparseProgram:
             for i in order
             if violation[i] > 0.0
         ]
+
+
+def _bends(kernel) -> bool:
+    """Whether a kernel's curvature enters a Hessian that is not exact."""
+    only = getattr(kernel, "exact_only", False)
+    return hasattr(kernel, "curvature") and not only
 
 
 def violation(problem: SparseProgram, y: np.ndarray) -> float:
