@@ -184,6 +184,7 @@ def test_springs_answer_to_where_the_device_goes():
     made = rises_in_device(1, nodes_per_second=20)
     (trial,) = made.trials
     study = dx.Study(made.model, made.trials)
+    study.prediction = settings()
     contact = made.contact.with_values({"thigh.normal_stiffness": 2000.0})
     plain = dx.predict(study, trial, contact)
     study.device = Device(joints={"exo_ankle": JointDrive(viscous_nm_s=1.0)})
@@ -205,7 +206,7 @@ def test_springs_answer_to_where_the_device_goes():
     sure = replace(contact, posterior=known)
     shifted = trial.q.copy()
     shifted[:, names.index("exo_knee")] += 0.05
-    study.prediction = PredictionSettings(
+    study.prediction = settings(
         errors=replace(NO_ERRORS, encoder_offset_deg=2.0)
     )
     as_off = dx.predict(study, replace(trial, q=shifted), sure)
@@ -213,7 +214,7 @@ def test_springs_answer_to_where_the_device_goes():
     as_is = dx.predict(study, trial, replace(contact, posterior=known))
     np.testing.assert_allclose(as_off.moments, as_is.moments, atol=1e-3)
     # A controller gives all of the torque.
-    study.prediction = PredictionSettings()
+    study.prediction = settings()
     controller = AssistController(knee_nm=10.0)
     driven = dx.predict(study, trial, contact, controller=controller)
     study.device = None
