@@ -288,11 +288,7 @@ def solve(
             if binding is None and watch.best_key[0] > 0.0:
                 # Either bounds exclude each other, or a point at which none
                 # has to yield is a better start.
-                problem.exact_hessian = True
-                try:
-                    y0, binding, infeasible = relax(problem, y0, relaxed)
-                finally:
-                    problem.exact_hessian = exact
+                y0, binding, infeasible = relax(problem, y0, relaxed)
     best = min(watches, key=lambda w: w.best_key).best
     if status not in _ACCEPTED and best is not None:
         y = best
