@@ -59,7 +59,6 @@ _RESTORING = 12
 _STALLED = 40
 _ELASTIC_ITERATIONS = 80
 _ELASTIC_TOLERANCE = 1e-4
-_EXACT_ITERATIONS = 60
 _FEASIBLE = 1e-4
 
 
@@ -72,10 +71,10 @@ class SolverOptions:
         max_iterations: largest number of iterations of each attempt.
         strategies: tried one after the other until one succeeds. "adaptive" and
             "monotone" are updates of the barrier with the program's Hessian
-            (adaptive is faster, monotone survives strong noise). "exact" adds
-            all curvature from the start, which tight bounds may need.
-            "patient", skipped if bounds are known that may be in the way, is
-            adaptive and never given up. `near_solution` puts "near" before
+            (adaptive is faster, monotone survives strong noise). "exact", also
+            adaptive, adds all curvature from the start, which tight bounds may
+            need. "patient", skipped if bounds are known that may be in the way,
+            is adaptive and never given up. `near_solution` puts "near" before
             them, for starts near a solution: exact, the barrier begins low,
             and bounds do not repel.
         extra: further IPOPT options by name.
@@ -83,7 +82,7 @@ class SolverOptions:
 
     tolerance: float = 1e-6
     max_iterations: int = 300
-    strategies: tuple[str, ...] = ("adaptive", "monotone", "exact", "patient")
+    strategies: tuple[str, ...] = ("adaptive", "exact", "monotone", "patient")
     extra: dict = field(default_factory=dict)
 
     def near_solution(self) -> "SolverOptions":
@@ -393,11 +392,7 @@ def _ipopt_options(options, strategy) -> dict:
         ),
         "acceptable_iter": 3,
         "acceptable_obj_change_tol": 1e-7,
-        "max_iter": (
-            min(_EXACT_ITERATIONS, options.max_iterations)
-            if strategy == "exact"
-            else options.max_iterations
-        ),
+        "max_iter": options.max_iterations,
         "mu_strategy": ("monotone" if strategy == "monotone" else "adaptive"),
         "print_level": 0,
         "sb": "yes",

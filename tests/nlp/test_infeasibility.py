@@ -132,7 +132,7 @@ def test_what_gives_way_to_soft_springs_alone_is_no_verdict(monkeypatch):
     monkeypatch.setattr(ipopt, "relax", lambda *_: (y, [found], infeasible))
     monkeypatch.setattr(ipopt, "_attempt", attempt)
     solution = ipopt.solve(problem, np.zeros(2 * PUSHES + 1))
-    assert tried == ["adaptive", "monotone", "exact"]
+    assert tried == ["adaptive", "exact", "monotone"]
     assert solution.status == "restoration failed"
     assert "may be in the way" in solution.explain()
 

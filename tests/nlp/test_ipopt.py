@@ -208,7 +208,7 @@ def test_interruption_keeps_the_best_iterate():
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-@pytest.mark.parametrize(("last", "nth"), [("elastic", 4), ("monotone", 1)])
+@pytest.mark.parametrize(("last", "nth"), [("elastic", 4), ("exact", 1)])
 def test_interruption_is_told_of_an_infeasible_problem_too(last, nth):
     """Among the stiffer springs, and after all of them."""
     program, *_ = pushed_cart(distance=10.0)
