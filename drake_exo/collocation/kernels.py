@@ -589,6 +589,8 @@ class ControllerKernel:
         self.sparsity = np.hstack(
             [np.ones((m, 2 * m), bool), np.eye(m, dtype=bool)]
         )
+        # Differences of a system node by node would take most of a solve.
+        self.curved_inputs = np.zeros(3 * m, bool)
 
     def _try(self) -> None:
         """Evaluate torques at rest and bent, with and without derivatives.

@@ -35,7 +35,7 @@ class Kernel(Protocol):
     added to the Gauss-Newton terms in the Lagrangian's Hessian, for residuals
     always, for constraints once they nearly hold, but with `exact_only` True
     for exact Hessians alone. `curved_inputs` (n_in,) bool may exclude inputs by
-    which they are zero.
+    which they are zero, or are left out.
 
     Attributes:
         sparsity: (n_out, n_in) bool, True where the Jacobian may be nonzero.
