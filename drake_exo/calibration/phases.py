@@ -197,6 +197,9 @@ class InteractionCalibration(PhaseProblem):
     ['shank.origin_x', 'shank.origin_z']
     """
 
+    # Parameters multiply what moves: steps without them creep.
+    exact_near = True
+
     def __init__(
         self,
         model: Model,

@@ -222,6 +222,8 @@ class PhaseProblem(Compiles, ABC):
 
     # Typical size of jerk in the cost, as a share of the contact's.
     jerk_share = 1.0
+    # Whether exact second derivatives save time near a solution.
+    exact_near = False
 
     def __init__(
         self,
@@ -620,7 +622,8 @@ class PhaseProblem(Compiles, ABC):
         problem, solver = self.compiled_anew(), self.settings.solver
         start, options = time.perf_counter(), solver.options()
         if near is not None:
-            guess, options = self.guess_from(near), options.near_solution()
+            guess = self.guess_from(near)
+            options = options.near_solution(self.exact_near)
         guess = self.guess() if guess is None else guess
         index = self.program.indices(self.parameter_variables)
         lower, upper = variable_bounds(self.program.prog)

@@ -60,6 +60,9 @@ _STALLED = 40
 _ELASTIC_ITERATIONS = 80
 _ELASTIC_TOLERANCE = 1e-4
 _FEASIBLE = 1e-4
+# Strategies with exact second derivatives, and from near a solution.
+_EXACT = ("exact", "near_exact")
+_NEARBY = ("near", "near_exact")
 
 
 @dataclass(frozen=True)
@@ -74,9 +77,9 @@ class SolverOptions:
             (adaptive is faster, monotone survives strong noise). "exact", also
             adaptive, adds all curvature from the start, which tight bounds may
             need. "patient", skipped if bounds are known that may be in the way,
-            is adaptive and never given up. `near_solution` puts "near" before
-            them, for starts near a solution: exact, the barrier begins low,
-            and bounds do not repel.
+            is adaptive and never given up. `near_solution` puts "near" or
+            "near_exact" before them, for starts near a solution (the barrier
+            begins low, and bounds do not repel).
         extra: further IPOPT options by name.
     """
 
@@ -85,9 +88,10 @@ class SolverOptions:
     strategies: tuple[str, ...] = ("adaptive", "exact", "monotone", "patient")
     extra: dict = field(default_factory=dict)
 
-    def near_solution(self) -> "SolverOptions":
+    def near_solution(self, exact: bool = False) -> "SolverOptions":
         """A copy for a start near a solution, see `strategies`."""
-        return replace(self, strategies=("near", *self.strategies))
+        first = "near_exact" if exact else "near"
+        return replace(self, strategies=(first, *self.strategies))
 
 
 @dataclass(frozen=True)
@@ -277,7 +281,7 @@ def solve(
                 continue  # it takes long, and bounds explain the failure
             watch = _Watch(problem, strategy, tell, stop)
             watches.append(watch)
-            problem.exact_hessian = exact or strategy in ("exact", "near")
+            problem.exact_hessian = exact or strategy in _EXACT
             try:
                 y, objective, status = _attempt(problem, y0, options, watch)
             finally:
@@ -388,7 +392,7 @@ def _ipopt_options(options, strategy) -> dict:
         # On fine grids rounding ends the descent just above the tolerance; for
         # walking steps on the finest grids at 20 times the tolerance.
         "acceptable_tol": (
-            options.tolerance * (100.0 if strategy == "near" else 10.0)
+            options.tolerance * (100.0 if strategy in _NEARBY else 10.0)
         ),
         "acceptable_iter": 3,
         "acceptable_obj_change_tol": 1e-7,
@@ -408,7 +412,7 @@ def _ipopt_options(options, strategy) -> dict:
         # does not suffice; IPOPT's 1000 % is allocated at each factorisation.
         "mumps_mem_percent": 20,
         "fixed_variable_treatment": "make_parameter",
-        **(_NEAR if strategy == "near" else {}),
+        **(_NEAR if strategy in _NEARBY else {}),
         **options.extra,
     }
 
