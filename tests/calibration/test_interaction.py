@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from measured_trials import saying
 
 from drake_exo.calibration.audit import audit, between_nodes, rmsd
 from drake_exo.calibration.phases import InteractionCalibration
+from drake_exo.calibration.settings import InteractionSettings, Solver
 from drake_exo.calibration.uncertainty import noise_basis, uncertainty
 from drake_exo.cli import main
 from drake_exo.measurement.trial import CuffForce
@@ -186,3 +188,39 @@ def test_a_study_without_exoskeleton_is_refused(request, data_root, capsys):
     assert code == 2
     error = capsys.readouterr().err
     assert "exoskeleton" in error and error.count("\n") == 1
+
+
+def test_near_its_solution_every_second_derivative_enters(
+    in_device, monkeypatch
+):
+    """Of the Lagrangian, against differences of its gradient."""
+    settings = InteractionSettings(solver=Solver(10.0))
+    problem = InteractionCalibration(
+        in_device.model, in_device.trials[:1], in_device.contact, settings
+    )
+    found = problem.solve()
+    assert problem.solve(near=found).solution.strategy == "near_exact"
+    program = problem.compiled
+    rng = np.random.default_rng(3)
+    y = program.restrict(found.solution.raw_values())
+    weights = rng.standard_normal(program.num_constraints)
+    along = rng.standard_normal(len(y)) * (program.y_upper > program.y_lower)
+
+    def gradient(y):
+        shape = (len(weights), len(y))
+        entries = program.jacobian(y), program.jacobian_structure
+        slopes = sp.csr_array(entries, shape).T @ weights
+        return program.gradient(y) + slopes
+
+    h = 1e-6
+    expected = (gradient(y + h * along) - gradient(y - h * along)) / (2.0 * h)
+
+    def bent():
+        entries = program.hessian(y, weights, 1.0), program.hessian_structure
+        lower = sp.csr_array(entries, (len(y), len(y)))
+        return (lower + sp.tril(lower, -1).T) @ along
+
+    off = np.abs(bent() - expected).max() / np.abs(expected).max()
+    monkeypatch.setattr(program, "exact_hessian", True)
+    exact = np.abs(bent() - expected).max() / np.abs(expected).max()
+    assert exact < 1e-5 < 1e-3 < off

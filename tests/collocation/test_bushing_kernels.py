@@ -140,6 +140,8 @@ def test_controller_and_its_derivatives(rng):
         change = kernel.evaluate(x + step, times)
         change = (change - kernel.evaluate(x - step, times)) / 2e-6
         np.testing.assert_allclose(J[:, :, k], change, atol=1e-8)
+    # Differenced twice, it would take most of a solve.
+    assert not kernel.curved_inputs.any()
 
 
 def test_unfit_controllers_are_refused():
