@@ -234,9 +234,10 @@ class EnergyKernel:
         b, nq = self._bushing, self._bushing.nq
         q, origin, stiffness, slip = self._split(x)
         terms, turns = b.terms(q, origin), b.turns(q)
-        D, d = b.deflection_jacobian(terms), b.deflection(q, terms)
-        by_origin = np.zeros((len(x), 3, 2))
-        by_origin[:, :2] = b.by_places(turns)
+        d = b.deflection(q, terms)
+        moved = np.zeros((len(x), 3, nq + 2))  # d by q and origin
+        moved[:, :, :nq] = b.deflection_jacobian(terms)
+        moved[:, :ROTATION, nq:] = b.by_places(turns)
         pull = np.zeros((len(x), 3))  # weights times dE/d(k d) k
         H = np.zeros((len(x), nq + 6, nq + 6))
         for c, w in zip(
@@ -256,8 +257,7 @@ class EnergyKernel:
             E[:, 1, 2] = E[:, 2, 1] = -f * f_s / k
             E[:, 2, 2] = f_s**2 + f * f_ss
             along = np.zeros((len(x), 3, nq + 6))  # F, k, s by the inputs
-            along[:, 0, :nq] = k[:, None] * D[:, c]
-            along[:, 0, nq : nq + 2] = k[:, None] * by_origin[:, c]
+            along[:, 0, : nq + 2] = k[:, None] * moved[:, c]
             along[:, 0, nq + 2 + c] = d[:, c]
             along[:, 1, nq + 2 + c] = 1.0
             along[:, 2, -1] = c == TANGENTIAL
@@ -265,14 +265,8 @@ class EnergyKernel:
             H += np.swapaxes(along, 1, 2) @ scaled @ along
             pull[:, c] = w * f * f_F
             stretched = slice(nq + 2 + c, nq + 3 + c)
-            slope = pull[:, c, None, None] / k[:, None, None]
-            add_pair(H, slice(nq), stretched, slope * D[:, c, :, None])
-            add_pair(
-                H,
-                slice(nq, nq + 2),
-                stretched,
-                slope * by_origin[:, c, :, None],
-            )
+            part = (pull[:, c] / k)[:, None] * moved[:, c]
+            add_pair(H, slice(nq + 2), stretched, part[:, :, None])
         H[:, :nq, :nq] += b.curvature(terms, pull)
         add_pair(
             H, slice(nq), slice(nq, nq + 2), b.gradient_by_places(turns, pull)

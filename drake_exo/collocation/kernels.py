@@ -70,10 +70,13 @@ class DynamicsKernel:
         self._root = tree.coordinates.root_columns
         self._joints = tree.coordinates.joint_columns
         bodies = (tree.root,) if bodies is None else bodies
-        self._bodies = tuple(bodies)
         self._load = load
         sizes = [nq, nq, nq, len(self._joints), 3 * len(bodies)]
         self._cuts = np.cumsum(sizes)
+        # Bodies that touch, and columns of their wrenches.
+        ends = self._cuts[3] + 3 * np.arange(len(bodies) + 1)
+        own = [slice(*pair) for pair in pairwise(ends)]
+        self._grounds = list(zip(bodies, own, strict=True))
         sizes = [3] * len(bushings) + [b.num_places for b in bushings]
         ends = self._cuts[-1] + np.cumsum([0, *sizes])
         slices = [slice(*pair) for pair in pairwise(ends)]
@@ -87,13 +90,12 @@ class DynamicsKernel:
         pattern[:, [x, z, nq + x, nq + z]] = False
         first = self._cuts[2]
         pattern[self._joints, first + np.arange(len(self._joints))] = True
-        for i, body in enumerate(self._bodies):
+        for body, own in self._grounds:
             turned = tree.moving(body) | (tree.turning(body) != 0.0)
             # Its moment is about the laboratory's origin.
             pattern[np.ix_(turned, [x, z])] = True
-            columns = self._cuts[3] + 3 * i + np.arange(3)
-            pattern[np.ix_(turned, columns)] = True
-            pattern[x, columns[0]] = pattern[z, columns[1]] = True
+            pattern[turned, own] = True
+            pattern[x, own.start] = pattern[z, own.start + 1] = True
         for bushing, force, places in self._cuffs:
             pattern[bushing.moved_by, force] = True
             pattern[bushing.moved_by, places] = True
@@ -105,11 +107,10 @@ class DynamicsKernel:
 
     def evaluate(self, x, data):
         """See Kernel."""
-        q, v, a, torque, ground, _ = np.split(x, self._cuts, axis=1)
+        q, v, a, torque = np.split(x, self._cuts, axis=1)[:4]
         r = self.tree.inverse_dynamics(q, v, a)
-        for i, body in enumerate(self._bodies):
-            own = ground[:, 3 * i : 3 * i + 3]
-            r -= self.tree.wrench_on_body(q, body, own)
+        for body, own in self._grounds:
+            r -= self.tree.wrench_on_body(q, body, x[:, own])
         r[:, self._joints] -= torque
         r /= FORCE_UNIT
         for bushing, force, places in self._cuffs:
@@ -121,17 +122,15 @@ class DynamicsKernel:
 
     def jacobian(self, x, data):
         """See Kernel."""
-        q, v, a, _, ground, _ = np.split(x, self._cuts, axis=1)
+        q, v, a = np.split(x, self._cuts, axis=1)[:3]
         nq = self.num_positions
         J = np.zeros((len(x), *self.sparsity.shape))
         parts = self.tree.inverse_dynamics_jacobians(q, v, a)
         for n, part in enumerate(parts):
             J[:, :, n * nq : (n + 1) * nq] = part
-        for i, body in enumerate(self._bodies):
-            own = ground[:, 3 * i : 3 * i + 3]
-            J[:, :, :nq] -= self.tree.wrench_curvature(q, body, own)
-            first = self._cuts[3] + 3 * i
-            J[:, :, first : first + 3] = -self.tree.by_wrench(q, body)
+        for body, own in self._grounds:
+            J[:, :, :nq] -= self.tree.wrench_curvature(q, body, x[:, own])
+            J[:, :, own] = -self.tree.by_wrench(q, body)
         J[:, self._joints, self._cuts[2] + np.arange(len(self._joints))] = -1.0
         J /= FORCE_UNIT
         for bushing, force, places in self._cuffs:
@@ -148,14 +147,13 @@ class DynamicsKernel:
 
     def curvature(self, x, weights, data):
         """sum_i weights_i d2 f_i/dx2, (n, n_in, n_in)."""
-        q, v, a, _, _, _ = np.split(x, self._cuts, axis=1)
+        q, v, a = np.split(x, self._cuts, axis=1)[:3]
         nq, w = self.num_positions, weights / FORCE_UNIT
         H = np.zeros((len(x), x.shape[1], x.shape[1]))
         H[:, : 3 * nq, : 3 * nq] = self.tree.inverse_dynamics_curvature(
             q, v, a, w
         )
-        for i, body in enumerate(self._bodies):
-            own = slice(self._cuts[3] + 3 * i, self._cuts[3] + 3 * i + 3)
+        for body, own in self._grounds:
             by_q, by_wrench = self.tree.wrench_bends(q, body, x[:, own], w)
             H[:, :nq, :nq] -= by_q
             add_pair(H, slice(nq), own, -by_wrench)

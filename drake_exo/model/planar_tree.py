@@ -311,7 +311,7 @@ class PlanarTree:
         alpha = 1j * phi_dd - phi_d**2
         n, ns = w.shape
         h, T = self.first_moments, self.angle_map
-        coupling = np.conj(w)[:, :, None] * self.second_moments * w[:, None, :]
+        coupling = self._coupling(w)
         inner = h * base[:, None] + (alpha * w) @ self.second_moments.T
         dQ_dphi = (coupling * (1j * alpha)[:, None, :]).imag
         index = np.arange(ns)
@@ -353,28 +353,25 @@ class PlanarTree:
         alpha = (1j * phi_dd - phi_d**2)[:, None, :]
         rate = -2.0 * phi_d[:, None, :]
         # Weights times the moment on a segment, by the turning of another.
-        P = np.conj(w)[:, :, None] * self.second_moments * w[:, None, :]
-        P *= turned
+        P = turned * self._coupling(w)
         # Weights times the force that turning segments exert on the base.
         lead = weights[:, 0] - 1j * weights[:, 1]
         f = lead[:, None] * np.conj(self.first_moments) * w
         lever = turned[:, :, 0] * self.first_moments * np.conj(w)
         index = np.arange(ns)
 
-        def by_angle(of_first, of_second, own):
-            """Blocks of d2/dphi d(phi, phi_d or phi_dd) on all segments."""
-            H = of_first
-            H[:, index, index] += of_second.sum(axis=1) + own
+        def by_angle(pairs, own):
+            """d2/dphi d(phi, phi_d or phi_dd): angles enter by differences."""
+            H = pairs.copy()
+            H[:, index, index] += own - pairs.sum(axis=1)
             return H
 
         S = (P * alpha).imag
-        twice = S + S.transpose(0, 2, 1)
-        own = -S.sum(axis=2) - (f * alpha[:, 0]).real
+        own = -(f * alpha[:, 0]).real
         own -= (lever * base[:, None]).imag
-        by_phi = by_angle(twice, -S, own)
-        own = (1j * f * rate[:, 0]).real
-        by_phi_d = by_angle(-(P * rate).real, (P * rate).real, own)
-        by_phi_dd = by_angle(P.imag.copy(), -P.imag, -f.real)
+        by_phi = by_angle(S + S.transpose(0, 2, 1), own)
+        by_phi_d = by_angle(-(P * rate).real, (1j * f * rate[:, 0]).real)
+        by_phi_dd = by_angle(P.imag, -f.real)
         nq, T = self.num_positions, self.angles_by_q
         H = np.zeros((n, 3 * nq, 3 * nq))
         for k, block in enumerate((by_phi, by_phi_d, by_phi_dd)):
@@ -403,6 +400,10 @@ class PlanarTree:
         # M_y is about y, angles are about -y.
         moment = q[:, 1] * F_x - q[:, 0] * F_z - pitch
         return np.column_stack([F_x, F_z, moment])
+
+    def _coupling(self, w):
+        """Moments (n, ns, ns) on segments by others' accelerations."""
+        return np.conj(w)[:, :, None] * self.second_moments * w[:, None, :]
 
     def _motion(self, q, v, vdot):
         T = self.angle_map.T
