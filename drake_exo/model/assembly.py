@@ -195,7 +195,8 @@ class Assembly:
             a place (x, z), or `same` as on the other leg. If left out, the
             person's soles have their usual spheres. Spheres of the same name
             share their parameters. `heel_left` and `heel_right` are separate
-            spheres, each at the place of a `heel`.
+            spheres, each at the place of a `heel`. A foot's `toe` without a
+            place is on its toes if these are hinged.
 
     >>> Assembly(Person("two", "hinged")).spheres["toes_left"]
     {'toe': None}

@@ -239,8 +239,11 @@ class Model:
         found: dict[str, dict[str, tuple[float, float]]] = {}
         for body, spheres in self.assembly.spheres.items():
             for name, place in spheres.items():
-                either = without_side(name)
-                place = place or usual.get(body, {}).get(either)
+                either, on = without_side(name), body
+                if place is None and either not in usual.get(body, {}):
+                    # A foot's toe is on its toes where these are hinged.
+                    on = body.replace("foot", "toes")
+                place = place or usual.get(on, {}).get(either)
                 if place is None:
                     known = ", ".join(usual.get(body, {})) or "none"
                     own = " or ".join(b for b in usual if either in usual[b])
@@ -250,7 +253,7 @@ class Model:
                         + (f"name it on {own}, or " if own else "")
                         + f"give {name}: [x, z] in m"
                     )
-                found.setdefault(body, {})[name] = place
+                found.setdefault(on, {})[name] = place
         return found
 
     @property

@@ -688,8 +688,8 @@ def test_descriptions_that_cannot_be_are_refused(text, words):
             r"'big_toe' has no .* toe\); give big_toe: \[x, z\] in m$",
         ),
         (  # of a foot whose toes are a segment of their own
-            Assembly(Person(toes="hinged"), ground={"foot": ("heel", "toe")}),
-            r"ball\); name it on toes, or give toe: \[x, z\] in m$",
+            Assembly(Person(toes="hinged"), ground={"toes": ("heel", "toe")}),
+            r"toe\); name it on foot, or give heel: \[x, z\] in m$",
         ),
         (
             replace(ANKLE, cuffs={"f": CuffLinks("foot", "calf")}),
@@ -1151,3 +1151,13 @@ def test_an_axis_that_is_left_out_is_the_format_s_own():
         ANKLE, ('<child link="calf"/>', turned), ('<axis xyz="0 1 0"/>', "")
     )
     assert model.coordinates.turned_by.tolist() == [[1.0, 0.0, 0.0]]
+
+
+def test_a_foot_with_hinged_toes_has_its_toe_sphere_on_them():
+    found = schema.load_text(
+        "{human: {legs: two, toes: hinged, trunk: rigid}, "
+        "ground: {foot_right: [heel, ball, toe], foot_left: same}}",
+        Assembly,
+    )
+    usual = Assembly(Person("two", "hinged"))
+    assert built(found).soles == built(usual).soles
