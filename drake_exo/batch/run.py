@@ -233,15 +233,12 @@ def _command(task: Task, out: Path, draft: Path, earlier) -> list[str]:
 
 
 def _summary(results: Path) -> dict:
-    """Contents of the command's summary or quality file; {} without one."""
-    for name in ("summary.json", "quality.json"):
-        try:
-            found = json.loads((results / name).read_text("utf-8"))
-        except (OSError, ValueError):
-            continue
-        if isinstance(found, dict):
-            return found
-    return {}
+    """Contents of the command's summary; {} without one."""
+    try:
+        found = json.loads((results / "summary.json").read_text("utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def _verdict(results: Path, code: int) -> str:

@@ -61,6 +61,8 @@ def _write(
             **verdict.summary(),
         },
     )
+    summary = {"subject": study.name} | verdict.summary()
+    write_json(out / "summary.json", summary)
     trials = study.trials()
     progress = Progress("drawing", total=len(trials))
     for i, (trial, found) in enumerate(

@@ -714,6 +714,10 @@ def test_the_command_ends_with_3_unless_it_is_accepted(folder, capsys):
     told = json.loads((out / "quality.json").read_text())
     assert told["accepted"] == [accept]
     assert told["verdict"] == "does not hold"
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["subject"] == "nobody"
+    for key in ("checks", "verdict", "accepted"):
+        assert summary[key] == told[key]
     assert unmarked(out) == [] and list(out.glob("*.png"))
 
 
