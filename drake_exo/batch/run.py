@@ -252,11 +252,11 @@ def _why(results: Path, code: int, log: Path) -> str:
     for check in _summary(results).get("checks", []):
         if check["level"] == "fail" and not check["holds"]:
             parts = (check["name"], check["where"], check["sentence"])
-            return first_line(": ".join(part for part in parts if part))
+            return ": ".join(part for part in parts if part)
     if code == 0:
         return ""
     said = [line for line in _lines(log) if line.startswith("not solved")]
-    return first_line(said[0]) if said else _last_line(log)
+    return said[0] if said else _last_line(log)
 
 
 def _raise_if_full(error: BaseException) -> None:

@@ -91,13 +91,17 @@ def test_bad_input_is_told_without_the_machine(tmp_path):
     assert not found.is_solved
 
 
+# The cause comes last: nothing of it is cut off.
+LONG = f"3 N; {'forces are late, ' * 9}check the cable"
+
+
 def check_that_fails(accepted):
     def run(out):
         out.mkdir()
         row = {
             "name": "audit",
             "where": "t1",
-            "sentence": "3 N",
+            "sentence": LONG,
             "holds": False,
         }
         row["level"] = "fail"
@@ -114,7 +118,7 @@ def test_what_does_not_hold_says_so_accepted_or_not(tmp_path, accepted):
     assert act(tmp_path, run) == "does not hold"
     found = read_outcome(tmp_path / "bert" / "check")
     assert found.code == (0 if accepted else 3)
-    assert found.sentence == "audit: t1: 3 N" and found.is_solved
+    assert found.sentence == f"audit: t1: {LONG}" and found.is_solved
 
 
 def test_not_solved(tmp_path):
