@@ -14,7 +14,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import cycle
+from itertools import cycle, pairwise
 from pathlib import Path
 
 import matplotlib
@@ -33,6 +33,7 @@ from drake_exo.contact.strap import EXTRAPOLATED, STIFF, CuffDesign
 from drake_exo.errors import InputError, check_type
 from drake_exo.files.output import COLOURS, STYLE, save_figure, write_json
 from drake_exo.files.schema import quantity
+from drake_exo.measurement.events import contacts
 from drake_exo.measurement.quality import TrialQuality
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import without_side
@@ -80,7 +81,8 @@ def plot_trials(
     Returns:
         "ground_reaction", "kinematics" and, where there are such signals,
         "interaction" and "moments" (not of a person and a device that do not
-        touch, as in Phase A: theirs mean nothing).
+        touch, as in Phase A: theirs mean nothing); "gait" where a foot comes
+        down twice: each leg from heel strike to the next [%].
 
     Raises:
         InputError: `found` and `measured` are not the same trials.
@@ -115,6 +117,8 @@ def plot_trials(
     touch = found[0].cuffs or not found[0].coordinates.device
     if touch and measured[0].moments is not None:
         drawn["moments"] = moments_figure(runs, measured)
+    if cycles := _cycles(measured):
+        drawn["gait"] = _gait_figure(runs, measured, cycles)
     return drawn
 
 
@@ -283,6 +287,59 @@ def moments_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
     return _drawn(runs, trials, rows, height=1.35)
 
 
+@dataclass(frozen=True)
+class _Cycle:
+    """A trial with its times in percent of a foot's cycle."""
+
+    trial: Trial
+    start_s: float
+    end_s: float
+
+    @property
+    def times(self) -> np.ndarray:
+        share = self.trial.times - self.start_s
+        return 100.0 * share / (self.end_s - self.start_s)
+
+
+def _cycles(trials: Sequence[Trial]) -> list[tuple]:
+    """(number of the trial, side, heel strike, the next of that foot [s])."""
+    found = []
+    for k, trial in enumerate(trials):
+        for side, ground in trial.feet.items():
+            touch = contacts(trial.times, ground.force_z)
+            strikes = [c.start_s for c in touch if c.begins]
+            found += [(k, side, *at) for at in pairwise(strikes)]
+    return found
+
+
+def _gait_figure(runs: Runs, trials: Sequence[Trial], cycles) -> Figure:
+    """Angles and ground reaction of each leg over each of its cycles."""
+    rows = _joint_rows(trials[0], *_JOINTS[0]) + _ground_rows(trials[0])
+    sides = sorted({side for _, side, *_ in cycles})
+    of = {
+        side: [
+            (label, *(lambda c, s=s: s(c.trial) for s in signals))
+            for label, *signals in rows
+            if label.startswith(f"{side} $F") or f"_{side} " in label
+        ]
+        for side in sides
+    }
+    count = max(map(len, of.values()))
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(6.0, 1.5 * count + 0.6))
+        axes = figure.subplots(count, len(sides), sharex=True, squeeze=False)
+        for k, side, *at in cycles:
+            found = {
+                name: run[k] and _Cycle(run[k], *at)
+                for name, run in runs.items()
+            }
+            column = axes[:, sides.index(side)]
+            _fill(column, found, _Cycle(trials[k], *at), of[side])
+        axes[0, 0].set_xlim(0.0, 100.0)
+        _finish(figure, axes, "gait cycle [%]")
+    return figure
+
+
 def front_figure(rows: list[dict]) -> Figure:
     """Pareto front of force against angle error; hollow: not solved."""
     with matplotlib.rc_context(STYLE):
@@ -384,9 +441,9 @@ def _fill(axes, found: dict[str, Trial | None], trial: Trial, rows) -> None:
         ax.set_ylabel(label)
 
 
-def _finish(figure: Figure, axes) -> None:
+def _finish(figure: Figure, axes, label: str = "time [s]") -> None:
     for ax in axes[-1]:
-        ax.set_xlabel("time [s]")
+        ax.set_xlabel(label)
     figure.align_ylabels()
     top = 1.0 - _legend(figure) / figure.get_size_inches()[1]
     # Only labels of outer panels stick out: measuring all takes seconds.

@@ -291,6 +291,46 @@ def test_all_figures_that_there_are_signals_for(trials, found):
     assert list(figures.plot_trials(apart, one)) == names[:2]
 
 
+def walk():
+    """Two legs; the left foot comes down at 0.4 and 1.4 s, the right once."""
+    names, one = Model(Assembly(Person("two")), nominal_human()), seen()
+    names, t = names.coordinates, one.times
+    q = np.outer(t, np.arange(1.0, len(names) + 1.0))
+    loaded = {
+        "left": (t < 0.2) | (t > 0.395) & (t < 1.0) | (t > 1.395),
+        "right": (t > 0.1) & (t < 0.6),
+    }
+    feet = {
+        side: PlanarWrench(np.outer(on, [10.0, 700.0]), 0.0 * t)
+        for side, on in loaded.items()
+    }
+    return replace(
+        one, coordinates=names, q=q, v=q, a=q, moments=None, cuffs={}, feet=feet
+    )
+
+
+@undrawn()
+def test_a_walk_is_drawn_in_percent_of_each_foot_s_cycle(trials):
+    one = walk()
+    drawn = figures.plot_trials([replace(one, q=2.0 * one.q)], [one])
+    assert list(drawn) == ["ground_reaction", "kinematics", "gait"]
+    # The right foot has no whole cycle.
+    rows = panels(drawn["gait"])
+    assert list(rows) == [
+        *("hip_left [°]", "knee_left [°]", "ankle_left [°]"),
+        *("left $F_x$ [N]", "left $F_z$ [N]"),
+    ]
+    percent, left = 100.0 * (one.times - 0.4), rows["knee_left [°]"][0]
+    knee = DEGREES * one.coordinate("knee_left")
+    same(lines(left)["measured"], percent, knee)
+    same(lines(left)["model"], percent, 2.0 * knee)
+    force = lines(rows["left $F_z$ [N]"][0])["measured"]
+    same(force, percent, one.feet["left"].force_z)
+    assert left.get_xlim() == (0.0, 100.0)
+    assert drawn["gait"].axes[-1].get_xlabel() == "gait cycle [%]"
+    assert "gait" not in figures.plot_trials(trials, trials)
+
+
 def test_a_front_is_force_against_angle():
     rows = [
         {"factor": 0.5, "success": True, "angles_deg": 0.2, "grf_n": 7.0},
