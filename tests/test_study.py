@@ -61,7 +61,7 @@ def test_data_root_must_be_a_folder(tmp_path):
         ("order: 4", "order: 3", "two passes make it even"),
         ("{left: 2, right: 1}", "{left: 1, right: 1}", "'both: 1'"),
         ("{left: 2, right: 1}", "{left: 2, both: 1}", "name the plates"),
-        ("name: rise2", "name: rise1", "two trials are named 'rise1'"),
+        ("name: rise2", "name: rise1", "37: trials: two are named 'rise1'"),
         (
             "name: rise2",
             "name: quality",

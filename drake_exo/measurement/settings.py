@@ -670,7 +670,7 @@ class RecordingSettings:
                     "gives a file of its own; rename the trial"
                 )
             if names.count(name) > 1:
-                raise InputError(f"two trials are named {name!r}; rename one")
+                raise InputError(f"trials: two are named {name!r}; rename one")
         if not names:
             raise InputError("trials is empty; list at least one")
         if self.markers is None and self.assembly.human.osim is None:
