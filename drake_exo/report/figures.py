@@ -338,7 +338,9 @@ def _gait_figure(runs: Runs, trials: Sequence[Trial], cycles) -> Figure:
     count = max(map(len, of.values()))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(6.0, 1.5 * count + 0.6))
-        axes = figure.subplots(count, len(sides), sharex=True, squeeze=False)
+        axes = figure.subplots(
+            count, len(sides), sharex=True, sharey="row", squeeze=False
+        )
         for k, side, *at in cycles:
             found = {
                 name: run[k] and _Cycle(run[k], *at)
