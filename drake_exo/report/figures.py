@@ -37,7 +37,7 @@ from drake_exo.files.tables import runs as runs_of
 from drake_exo.measurement.quality import TrialQuality
 from drake_exo.measurement.sagittal import COP_THRESHOLD_N
 from drake_exo.measurement.trial import Trial
-from drake_exo.model.assembly import without_side
+from drake_exo.model.assembly import SIDES, without_side
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.report.gathering import rounded
 
@@ -330,8 +330,8 @@ def _gait_figure(runs: Runs, trials: Sequence[Trial], cycles) -> Figure:
     of = {
         side: [
             (label, *(lambda c, s=s: s(c.trial) for s in signals))
-            for label, *signals in rows
-            if label.startswith(f"{side} $F") or f"_{side} " in label
+            for label, *signals in _of_side(rows, side)
+            if "CoP" not in label
         ]
         for side in sides
     }
@@ -393,28 +393,44 @@ def _beside(axis, at: tuple[float, float], text: str, above: bool) -> None:
 def _drawn(runs, trials, rows, height=1.9, shade=None) -> Figure:
     """Figure with a row for each (label, signal[, the device's]), by trial.
 
-    `shade` draws into its axes before the legend is made.
+    A single trial of two legs has the left one's rows beside the right one's.
+    `shade` draws into the axes of whole trials before the legend is made.
     """
-    width = _panel_width(len(trials))
-    # More fits in than in titles: letters are smaller.
-    rows = [(_wrapped(name, 1.25 * height), *of) for name, *of in rows]
+    parts, legs = [rows], [_of_side(rows, side) for side in SIDES]
+    halves = all(2 * len(leg) == len(rows) for leg in legs)
+    if len(trials) == 1 and halves and shade is None:
+        parts = legs
+    count, across = len(parts[0]), len(parts) * len(trials)
+    width = _panel_width(across)
     with matplotlib.rc_context(STYLE):
         figure = Figure(
-            figsize=(max(width * len(trials), 4.4), height * len(rows) + 0.6)
+            figsize=(max(width * across, 4.4), height * count + 0.6)
         )
         axes = figure.subplots(
-            len(rows), len(trials), sharex="col", sharey="row", squeeze=False
+            count, across, sharex="col", sharey="row", squeeze=False
         )
-        for k, trial in enumerate(trials):
-            axes[0, k].set_title(_wrapped(trial.name, width))
+        panels = [(k, part) for k in range(len(trials)) for part in parts]
+        for column, (k, part) in zip(axes.T, panels, strict=True):
+            # More fits in than in titles: letters are smaller.
+            part = [(_wrapped(n, 1.25 * height), *of) for n, *of in part]
+            column[0].set_title(_wrapped(trials[k].name, width))
             found = {name: run[k] for name, run in runs.items()}
-            _fill(axes[:, k], found, trial, rows)
-        for ax in axes[:, 1:].flat:
+            _fill(column, found, trials[k], part)
+        for ax in axes[:, len(parts) :].flat:
             ax.set_ylabel("")
         if shade is not None:
             shade(axes)
         _finish(figure, axes)
     return figure
+
+
+def _of_side(rows: list[tuple], side: str) -> list[tuple]:
+    """Those of some rows that are of one leg."""
+    return [
+        (label, *signals)
+        for label, *signals in rows
+        if label.startswith(f"{side} ") or f"_{side} " in label
+    ]
 
 
 def _panel_width(trials: int) -> float:

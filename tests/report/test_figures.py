@@ -310,6 +310,30 @@ def walk():
 
 
 @undrawn()
+def test_legs_of_a_single_trial_are_side_by_side():
+    one, other = walk(), replace(walk(), name="other")
+    for figure, rows, left, right in (
+        (figures.kinematics_figure, 6, "knee_left [°]", "knee_right [°]"),
+        (
+            figures.ground_reaction_figure,
+            3,
+            "left $F_z$ [N]",
+            "right $F_z$ [N]",
+        ),
+    ):
+        axes = figure({"model": [one]}, [one]).axes
+        assert len(axes) == 2 * rows
+        names = [ax.get_ylabel() for ax in axes]
+        at = names.index(left)
+        assert at % 2 == 0 and names[at + 1] == right
+        assert axes[at].get_ylim() == axes[at + 1].get_ylim()
+        # Of several trials each has a column.
+        both = [one, other]
+        names = [ax.get_ylabel() for ax in figure({"model": both}, both).axes]
+        assert len(names) == 4 * rows and not any(names[1::2])
+
+
+@undrawn()
 def test_a_walk_is_drawn_in_percent_of_each_foot_s_cycle(trials):
     one = walk()
     drawn = figures.plot_trials([replace(one, q=2.0 * one.q)], [one])
