@@ -34,6 +34,7 @@ from drake_exo.files.output import (
     write_json,
 )
 from drake_exo.measurement.exoskeleton import spring_stiffness
+from drake_exo.measurement.quality import assess
 from drake_exo.measurement.settings import Use
 from drake_exo.nlp.ipopt import Solution
 from drake_exo.report.figures import front_figure
@@ -46,6 +47,7 @@ from drake_exo.report.gathering import (
 )
 from drake_exo.study import (
     Calibration,
+    RecordedStudy,
     Study,
     calibrate_foot_ground,
     calibrate_interaction,
@@ -99,6 +101,12 @@ def add_study_arguments(
         )
 
 
+def print_remarks(study: RecordedStudy, use: Use) -> None:
+    """Print what `check` remarks on the trials of a use."""
+    for remark in assess(study.subject, study.trials(use)).remarks:
+        print(f"! {remark}")
+
+
 def run(args: argparse.Namespace) -> int:
     """Calibrate, audit, and write everything to --out."""
     study = read_study(args.study, args.data_root)
@@ -116,6 +124,7 @@ def run(args: argparse.Namespace) -> int:
         check_has_cuffs(study.model)
         check_is_measured(study.trials("calibration"))
     checks = list(study.gate("calibration", args.accept))
+    print_remarks(study, "calibration")
     if not only_foot and args.calibration is not None:
         contact, made_of = study.calibrated(args.calibration, args.accept)
         checks += made_of

@@ -25,6 +25,7 @@ from drake_exo.cli.calibrate import (
     add_study_arguments,
     finished,
     inputs,
+    print_remarks,
     report_failure,
     to_resume,
 )
@@ -134,6 +135,7 @@ def run(args: argparse.Namespace) -> int:
         args.calibration, args.accept, study.trials("prediction")
     )
     checks += study.gate("prediction", args.accept)
+    print_remarks(study, "prediction")
     clocks = usual = None
     if worn is not None:
         # By the cuffs that were worn, not the design's.

@@ -81,6 +81,12 @@ class Quality:
     notes: tuple[str, ...] = ()
     checks: tuple[Check, ...] = ()
 
+    @property
+    def remarks(self) -> list[str]:
+        """What deserves a look, by trial."""
+        found = [(t.name, w) for t in self.trials for w in t.warnings]
+        return [*self.warnings, *(f"{name}: {w}" for name, w in found)]
+
     def summary(self) -> dict[str, Any]:
         """Everything but time series."""
         rest = {k: v for k, v in vars(self).items() if k != "checks"}

@@ -1,6 +1,7 @@
 """`drake-exo check` as a user runs it, and what bad input does."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from seated_recording import edit, write_seated
 
 from drake_exo.cli import main
 from drake_exo.files.c3d import write_c3d
-from drake_exo.files.opensim import read_plates, read_trc
+from drake_exo.files.opensim import read_plates, read_trc, write_trc
 from drake_exo.files.output import MANIFEST
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.segments import scale_human
@@ -62,6 +63,21 @@ def test_prints_and_writes_the_report(folder, capsys):
     assert Trial.load(out / "rise1").chair is not None
     assert main(["check", str(study), "--out", str(out)]) == 2
     assert "--force" in capsys.readouterr().err
+
+
+def test_who_only_calibrates_is_told_what_check_remarks(folder, capsys):
+    data = read_trc(folder / "sts.trc")
+    positions = data.positions.copy()
+    positions[:, data.names.index("L_th1"), 0] += 0.06
+    write_trc(folder / "sts.trc", replace(data, positions=positions))
+    study = str(folder / "study.yaml")
+    assert main(["check", study]) == 0
+    remark = "marker L_th1 lies"
+    assert f"  ! {remark}" in capsys.readouterr().out
+    # It ends after the recordings were read: the folder is not empty.
+    phase = ["--phase", "foot-ground", "--out", str(folder)]
+    assert main(["calibrate", study, *phase]) == 2
+    assert f"! rise1: {remark}" in capsys.readouterr().out
 
 
 def test_recordings_of_an_earlier_run_are_not_replaced(folder, capsys):

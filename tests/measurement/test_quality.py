@@ -67,6 +67,8 @@ def test_stuck_cells_of_a_mat_are_warned_of(assessed):
     mats = {"front": {"stuck_cells": 3}, "back": {"peak_kpa": 5.0}}
     (t,) = assessed(said={"mats": mats}).trials
     assert t.warnings[-1].startswith("stuck cells of front: 3 never change")
+    found = assessed(said={"mats": mats}, standing_mass_kg=50.0)
+    assert found.remarks == [f"one: {w}" for w in t.warnings]
     assert "mat front: 3 cells are stuck" in t.notes
 
 
