@@ -32,7 +32,7 @@ from drake_exo.report.gathering import gather
 from drake_exo.study import Study, find_clocks, read_study
 from drake_exo.virtual_laboratory.campaign import write_campaign
 
-_SEED = 1
+_SEED, _TRUTH = 1, "wide"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,9 +58,10 @@ def _steps(out: Path) -> int:
         print(f"== {title}", flush=True)
         return prepare_output_folder(out / name)
 
-    title = "virtual laboratory: a campaign of nine movements"
+    title = f"virtual laboratory: nine movements, seed {_SEED}, {_TRUTH} truth"
     with part("laboratory", title) as folder:
-        study = read_study(write_campaign(folder, _SEED, processes=PROCESSES))
+        file = write_campaign(folder, _SEED, truth=_TRUTH, processes=PROCESSES)
+        study = read_study(file)
     title = "Phases A and B: calibrate from three movements"
     with Beside() as beside:
         ahead = beside(to_predict, study=study)

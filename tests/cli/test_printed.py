@@ -226,7 +226,7 @@ def test_the_demo_times_each_trial_once(monkeypatch):
     assert alone in ("only bdf", "only aceg")
 
 
-def test_the_demos_parts_are_folders_of_one(monkeypatch, tmp_path):
+def test_the_demos_parts_are_folders_of_one(monkeypatch, tmp_path, capsys):
     """Laboratory, calibration, both predictions, report and replay."""
     made = []
 
@@ -268,6 +268,7 @@ def test_the_demos_parts_are_folders_of_one(monkeypatch, tmp_path):
         monkeypatch.setattr(demo, name, value)
     args = Namespace(out=tmp_path / "demo", force=False)
     assert demo.run(args) == 3  # of the stiff cuffs' prediction
+    assert "nine movements, seed 1, wide truth" in capsys.readouterr().out
     out = tmp_path / "demo"
     assert made == [
         ("lab", out / "laboratory"),
