@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from drake_exo.errors import check_data_root
 from drake_exo.files.output import (
     Check,
     Verdict,
@@ -85,16 +84,10 @@ _TOLD = ("/optimize", "/front")  # jobs whose end is printed
 
 
 def step_block(root: Path | None) -> LoadBlock:
-    """The authors' step if it is under `root`, else our walking pattern.
-
-    Raises:
-        InputError: `root` is no folder.
-    """
-    if root is not None:
-        check_data_root(root)
-        if (root / AUTHORS_STEP).is_file():
-            return LoadBlock(one_foot=OneFoot(AUTHORS_STEP, AUTHORS_ORIGIN))
-    return LoadBlock(pattern=Robot())
+    """The authors' step under `root`, or without one our walking pattern."""
+    if root is None:
+        return LoadBlock(pattern=Robot())
+    return LoadBlock(one_foot=OneFoot(AUTHORS_STEP, AUTHORS_ORIGIN))
 
 
 def five_cases(load: LoadBlock, coarse: bool) -> list[Settings]:
@@ -153,14 +146,16 @@ class Study:
         """Open the five cases with the files they need.
 
         Args:
-            data_root: Folder that may hold the authors' step.
+            data_root: Folder with the authors' step; without it the load
+                is our own walking pattern.
             mesh_file: Mesh that the last stage uses instead of the brick.
             coarse: Two coarse stages, for a first look.
             limits: Whether stability, tilt and strain are limited, see class.
             iterations: Largest number of iterations in the last stage.
 
         Raises:
-            InputError: The mesh cannot be read, or the ZMP leaves the sole.
+            InputError: Step or mesh cannot be read, or the ZMP leaves the
+                sole.
         """
         load = step_block(data_root)
         source = "authors’ step" if load.one_foot else "own walking pattern"

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from drake_exo.errors import InputError
 from drake_exo.files.output import Check, Verdict
 from drake_exo.jobs.engine import Ended, Job
 from drake_exo.papers import de_magistris as paper
@@ -15,13 +16,14 @@ from drake_exo.soles.load_blocks import LoadBlock
 from drake_exo.soles.walking_pattern import Robot
 
 
-def test_the_authors_step_is_taken_where_it_is(tmp_path):
+def test_a_data_root_means_the_authors_step(tmp_path):
     assert paper.step_block(None) == LoadBlock(pattern=Robot())
-    assert paper.step_block(tmp_path) == LoadBlock(pattern=Robot())
-    path = tmp_path / paper.AUTHORS_STEP
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("")
-    assert paper.step_block(tmp_path).one_foot.file == paper.AUTHORS_STEP
+    for root, words in (
+        (tmp_path, f"{paper.AUTHORS_STEP}: cannot be read"),
+        (tmp_path / "none", r"data_root \(--data-root\)"),
+    ):
+        with pytest.raises(InputError, match=words):
+            paper.Study.read(root)
 
 
 def test_the_five_cases_differ_in_one_thing_each():
