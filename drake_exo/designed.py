@@ -41,13 +41,14 @@ from drake_exo.files.output import (
     SOLVED,
     Check,
     Verdict,
+    rounded,
     save_figure,
     write_json,
     write_text,
 )
 from drake_exo.measurement.trial import Trial
 from drake_exo.nlp.ipopt import Solution
-from drake_exo.report.gathering import format_table, rounded
+from drake_exo.report.gathering import format_table
 from drake_exo.study import write_inputs
 
 # A cuff that is moved further than this is outside of what was calibrated.

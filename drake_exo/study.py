@@ -860,7 +860,8 @@ class Prediction(_Solved, Trial):
     def plot(self, measured: Trial | None = None) -> Figure:
         """Figure of angles, velocities and forces, beside the measured ones.
 
-        The cuffs' forces have bands of 95 % if the contact has a posterior.
+        All but the ground reaction have bands of 95 % if the contact has a
+        posterior.
 
         Args:
             measured: trial to compare with, see `timed`; by default the one

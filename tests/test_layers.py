@@ -113,3 +113,36 @@ def test_files_are_worth_opening():
     ]
     assert not short
     assert len(FILES) <= 150
+
+
+def test_no_files_import_each_other():
+    """In a room, too, and also where an import stands within a function."""
+    names = {".".join(("drake_exo", *parts(p))): p for p in MODULES}
+    left = {
+        p: files_in(ast.parse(p.read_text("utf-8")), names) for p in MODULES
+    }
+    while free := [p for p, own in left.items() if not own & set(left) - {p}]:
+        for path in free:
+            del left[path]
+    assert not left, sorted(str(p.relative_to(ROOT)) for p in left)
+
+
+def parts(path: Path) -> tuple[str, ...]:
+    own = path.relative_to(ROOT).with_suffix("").parts
+    return own[:-1] if own[-1] == "__init__" else own
+
+
+def files_in(tree: ast.Module, names: dict[str, Path]) -> set[Path]:
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            wanted = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            wanted = [f"{node.module}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        for name in wanted:
+            name = name if name in names else name.rpartition(".")[0]
+            if name in names:
+                found.add(names[name])
+    return found

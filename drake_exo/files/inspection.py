@@ -18,6 +18,7 @@ from drake_exo.files.pressure import (
     read_pressure_csv,
 )
 from drake_exo.files.tables import (
+    COP_THRESHOLD_N,
     MarkerData,
     PlateRecording,
     Table,
@@ -29,7 +30,6 @@ from drake_exo.files.tables import (
 )
 
 _TOLD = 6  # most gaps listed in a line
-_LOADED_N = 20.0
 _MESHES = (".stl", ".obj", ".ply", ".vtk", ".msh")
 
 
@@ -208,10 +208,10 @@ def _plates(time: np.ndarray, plates: Mapping[int, PlateRecording]) -> Contents:
             lines.append(f"{line}cannot be read ({error})")
             continue
         size = np.linalg.norm(plate.force, axis=1)
-        loaded = size > _LOADED_N
+        loaded = size > COP_THRESHOLD_N
         if not loaded.any():
             lines.append(
-                f"{line}never above {_LOADED_N:g} N (at most "
+                f"{line}never above {COP_THRESHOLD_N:g} N (at most "
                 f"{size.max(initial=0.0):.3g} N)"
             )
             continue

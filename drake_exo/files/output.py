@@ -350,6 +350,15 @@ def _rounded(value: Any) -> Any:
     return float(f"{value:.6g}") + 0.0 if isinstance(value, float) else value
 
 
+def rounded(value: float) -> str:
+    """A number with three significant digits, without a power of ten.
+
+    >>> rounded(52947.3)
+    '52 900'
+    """
+    return f"{float(f'{value:.3g}'):,.10g}".replace(",", " ")
+
+
 def read_json(path: str | Path, remedy: str) -> Any:
     """Read a JSON file.
 
@@ -777,16 +786,16 @@ def _holding(checks: Iterable[Check]) -> list[tuple[str, ...]]:
             groups.setdefault(c.name.partition(".")[0], []).append(c)
     rows = []
     for name, group in groups.items():
-        nearest = min(group, key=_room)
+        nearest = min(group, key=_margin)
         count = f"{len(group)} hold" if len(group) > 1 else "holds"
-        told = _short(nearest) if np.isfinite(_room(nearest)) else ""
+        told = _short(nearest) if np.isfinite(_margin(nearest)) else ""
         if nearest.name == name:
             told = told.removeprefix(name).strip()
         rows.append((name, count, f"nearest {told}" if told else ""))
     return rows
 
 
-def _room(check: Check) -> float:
+def _margin(check: Check) -> float:
     """Distance of a check's value from its limit, relative; or infinity."""
     if check.value is None or not check.limit:
         return float("inf")

@@ -25,6 +25,8 @@ Reader = TypeVar("Reader", bound=Callable)
 # Larger than any measurement in any unit, but squares do not overflow.
 _LARGEST = 1e30
 _SHOWN = 40  # characters of a cell in a message
+# Below this vertical force the centre of pressure is undefined [N].
+COP_THRESHOLD_N = 20.0
 
 
 def read_bytes(path: str | Path, remedy: str = "check the path") -> bytes:

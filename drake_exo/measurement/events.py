@@ -19,9 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.tables import runs
+from drake_exo.files.tables import COP_THRESHOLD_N, runs
 from drake_exo.measurement.filters import minimum_jerk
-from drake_exo.measurement.sagittal import COP_THRESHOLD_N, PlanarWrench
+from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.model.assembly import SIDES
 
 SEATED_SHARE = 0.5  # of body weight on the chair: clearly seated

@@ -18,7 +18,7 @@ from scipy.constants import g
 
 from drake_exo.errors import InputError
 from drake_exo.files.output import Check, Level, Verdict
-from drake_exo.files.tables import between, runs
+from drake_exo.files.tables import COP_THRESHOLD_N, between, runs
 from drake_exo.measurement.filters import MarkerFault, linear
 from drake_exo.measurement.kinematics import inverse_dynamics, residual_rms
 from drake_exo.measurement.mats import MatForce
@@ -27,6 +27,7 @@ from drake_exo.measurement.processing import (
     Recording,
     needed_force,
 )
+from drake_exo.measurement.sagittal import pierced
 from drake_exo.measurement.settings import Plates, Standing, TrialFiles
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import Trial, saw_device
@@ -278,8 +279,9 @@ class Evidence(Made):
             scale: factor on lengths, to try another unit.
         """
         w = self.plates[foot][self.loaded(foot)]
-        p = np.column_stack([-w[:, 4], w[:, 3]]) / w[:, 2:3]
-        return scale * (-p if turned else p)
+        x = pierced(w[:, 0], w[:, 2], w[:, 4])
+        y = pierced(w[:, 1], w[:, 2], -w[:, 3])
+        return (-scale if turned else scale) * np.stack([x, y], 1)
 
     def sole(self, foot: str, plate: str | None = None) -> np.ndarray | None:
         """Edges of a foot: back, front, right, left (k, 4) [m].
@@ -380,7 +382,6 @@ class Evidence(Made):
 
 _LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2}
 _FLAT_SAMPLES, _FLAT_S = 5, 0.05
-_FLAT_N = 20.0
 _MOVES_SHARE = 0.02  # of body weight: change of force that motion requires
 
 
@@ -509,7 +510,7 @@ def _sides(e: Evidence) -> Check:
 def _repeats(e: Evidence, F_z: np.ndarray) -> list[tuple[int, int]]:
     """Runs (start, end) of an unchanged load while motion requires change."""
     forces, motion = e.recording.forces, e.recording.motion
-    loaded = np.abs(F_z) > _FLAT_N
+    loaded = np.abs(F_z) > COP_THRESHOLD_N
     same = np.r_[False, np.diff(F_z) == 0.0] & loaded
     least = max(_FLAT_SAMPLES, _FLAT_S * forces.rate_hz)
     needed = np.interp(forces.time, motion.time, e.needed_z)
@@ -524,7 +525,7 @@ def _stuck(e: Evidence, name: str, F_z: np.ndarray) -> Iterator[Check]:
     """Checks for a plate that does not measure, or whose peaks are clipped."""
     found, top = _repeats(e, F_z), F_z.max()
     rate = e.recording.forces.rate_hz
-    loaded = max(int((np.abs(F_z) > _FLAT_N).sum()), 1)
+    loaded = max(int((np.abs(F_z) > COP_THRESHOLD_N).sum()), 1)
     share = sum(b - a for a, b in found) / loaded
     longest = max(found, key=lambda run: run[1] - run[0], default=(0, 0))
     seconds = (longest[1] - longest[0]) / rate

@@ -12,11 +12,9 @@ from typing import Literal
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.tables import PlateRecording
+from drake_exo.files.tables import COP_THRESHOLD_N, PlateRecording
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
-# Below this vertical force the centre of pressure is undefined [N].
-COP_THRESHOLD_N = 20.0
 
 
 @dataclass(frozen=True)
@@ -76,6 +74,17 @@ def fixed(given) -> np.ndarray:
     array = np.array(given, dtype=float)
     array.flags.writeable = False
     return array
+
+
+def pierced(along, up, moment, height: float = 0.0) -> np.ndarray:
+    """Centre of pressure: where a force's line of action passes a height [m].
+
+    Args:
+        along, up: force along a horizontal axis and upwards [N].
+        moment: z times `along` minus place times `up` [N m].
+        height: of the plane above the origin [m].
+    """
+    return (height * along - moment) / up
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,9 +155,12 @@ class PlanarWrench:
     @property
     def cop_x(self) -> np.ndarray:
         """Centre of pressure -M_y/F_z (N,) [m]; NaN below 20 N."""
-        loaded = self.is_loaded
-        load = np.where(loaded, self.force_z, 1.0)
-        return np.where(loaded, -self.moment / load, np.nan)
+        return self.cop_at(0.0)
+
+    def cop_at(self, height: float) -> np.ndarray:
+        """Centre of pressure (N,) [m] at a height [m]; NaN below 20 N."""
+        load = np.where(self.is_loaded, self.force_z, np.nan)
+        return pierced(self.force_x, load, self.moment, height)
 
     def __add__(self, other: "PlanarWrench") -> "PlanarWrench":
         return PlanarWrench(
@@ -174,7 +186,7 @@ class PlanarWrench:
         before = (after - 1).clip(0)
         sooner = index - known[before] < known[after] - index
         nearest = known[np.where(sooner, before, after)]
-        at = -self.moment[nearest] / self.force_z[nearest]
+        at = pierced(0.0, self.force_z[nearest], self.moment[nearest])
         held = np.where(
             self.force_z >= below_n, self.moment, -at * self.force_z
         )

@@ -14,7 +14,12 @@ from typing import Literal
 import numpy as np
 
 from drake_exo.errors import InputError
-from drake_exo.files.tables import MarkerData, PlateRecording, between
+from drake_exo.files.tables import (
+    COP_THRESHOLD_N,
+    MarkerData,
+    PlateRecording,
+    between,
+)
 from drake_exo.measurement.events import Contact, contacts
 from drake_exo.measurement.filters import fill_gaps
 from drake_exo.measurement.recording import (
@@ -24,7 +29,7 @@ from drake_exo.measurement.recording import (
     plates_under,
     read_markers,
 )
-from drake_exo.measurement.sagittal import COP_THRESHOLD_N, Axes
+from drake_exo.measurement.sagittal import Axes, pierced
 from drake_exo.measurement.settings import RecordingSettings, Side, TrialFiles
 
 _FLAT_SHARE = 0.2  # of a contact's frames counts as flat: slowest rotation
@@ -319,8 +324,8 @@ def _cop(wrench: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
     From M = r × F + T e_z about the laboratory's origin.
     """
     F, M = wrench[:, :3], wrench[:, 3:]
-    x = (height * F[:, 0] - M[:, 1]) / F[:, 2]
-    y = (height * F[:, 1] + M[:, 0]) / F[:, 2]
+    x = pierced(F[:, 0], F[:, 2], M[:, 1], height)
+    y = pierced(F[:, 1], F[:, 2], -M[:, 0], height)
     return np.stack([x, y], 1), M[:, 2] - (x * F[:, 1] - y * F[:, 0])
 
 

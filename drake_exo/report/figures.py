@@ -31,7 +31,13 @@ from drake_exo.contact.hunt_crossley import (
 )
 from drake_exo.contact.strap import EXTRAPOLATED, STIFF, CuffDesign
 from drake_exo.errors import InputError, check_type
-from drake_exo.files.output import COLOURS, STYLE, save_figure, write_json
+from drake_exo.files.output import (
+    COLOURS,
+    STYLE,
+    rounded,
+    save_figure,
+    write_json,
+)
 from drake_exo.files.schema import quantity
 from drake_exo.files.tables import runs as runs_of
 from drake_exo.measurement.quality import TrialQuality
@@ -39,7 +45,6 @@ from drake_exo.measurement.sagittal import COP_THRESHOLD_N
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.assembly import SIDES, without_side
 from drake_exo.model.coordinates import Coordinates
-from drake_exo.report.gathering import rounded
 
 Runs = Mapping[str, Sequence[Trial | None]]
 

@@ -740,12 +740,3 @@ def front_table(rows: list[dict]) -> str:
             for r in rows
         ],
     )
-
-
-def rounded(value: float) -> str:
-    """A number with three significant digits, without a power of ten.
-
-    >>> rounded(52947.3)
-    '52 900'
-    """
-    return f"{float(f'{value:.3g}'):,.10g}".replace(",", " ")

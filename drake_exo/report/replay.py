@@ -142,11 +142,10 @@ def spatial(pose: np.ndarray) -> np.ndarray:
 
 def _on_level(wrench: PlanarWrench, height: float) -> np.ndarray:
     """Point and force (n, 6) where a wrench's line of action is at a height."""
-    F_x, F_z, M_y = wrench.array.T
-    loaded = F_z > 1.0
-    z = np.full(len(F_z), height)
-    x = np.where(loaded, (z * F_x - M_y) / np.where(loaded, F_z, 1.0), np.nan)
-    return np.column_stack([x, 0.0 * z, z, F_x, 0.0 * z, F_z])
+    x, zero = wrench.cop_at(height), 0.0 * wrench.force_z
+    return np.column_stack(
+        [x, zero, zero + height, wrench.force_x, zero, wrench.force_z]
+    )
 
 
 SIMULATED, MEASURED = "/simulated", "/measured"

@@ -13,7 +13,7 @@ import numpy as np
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
 from drake_exo.files.schema import exactly_one, positive, quantity
-from drake_exo.files.tables import between, missing_column
+from drake_exo.files.tables import COP_THRESHOLD_N, between, missing_column
 from drake_exo.soles.loads import (
     MOST_SAMPLES,
     Load,
@@ -89,7 +89,7 @@ class ForcePlate:
     end_s: float
     origin_m: Vector2
     yaw_rad: float = angle()
-    least_force_n: float = positive("N", 20.0)
+    least_force_n: float = positive("N", COP_THRESHOLD_N)
 
     def load(self, root: Path) -> Load:
         """Read the load; `file` is relative to `root`."""
@@ -142,7 +142,7 @@ class Playback:
     period_s: float = positive("s", 0.005)
     gravity_m_per_s2: float = positive("m/s²", 9.81)
     ankle_to_centre_m: Vector2 = (0.015, 0.011)
-    least_force_n: float = positive("N", 20.0)
+    least_force_n: float = positive("N", COP_THRESHOLD_N)
 
     def load(self, root: Path) -> Load:
         """Read the load; `file` is relative to `root`."""
@@ -261,7 +261,7 @@ class Prediction:
     file: str
     origin_m: Vector2
     share: float = quantity(None, 0.5, above=0.0, maximum=1.0)
-    least_force_n: float = positive("N", 20.0)
+    least_force_n: float = positive("N", COP_THRESHOLD_N)
 
     def load(self, root: Path) -> Load:
         """Read the load; `file` is relative to `root`."""
@@ -358,7 +358,7 @@ class LoadBlock:
         default="toe_off", metadata={"key": "to", "unit": "s"}
     )
     step: int = quantity(None, 0, minimum=0)
-    least_force_n: float = positive("N", 20.0)
+    least_force_n: float = positive("N", COP_THRESHOLD_N)
     shift_m: Vector2 = (0.0, 0.0)
     pose: Literal["free", "measured"] = "free"
     straight: bool = False

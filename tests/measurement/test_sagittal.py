@@ -149,3 +149,11 @@ def test_external_loads_are_the_wrench():
             [2.5, 350, 0, 0.1, 0, 0, 0, 0, 0],
             [0.5, 7.5, 0, 0, 0, 0, 0, 0, -1.5],
         ]
+
+
+def test_centre_of_pressure_at_a_height():
+    """On a seat, as on the ground, none is told where there is no load."""
+    wrench = PlanarWrench.of([[60.0, 600.0, -90.0], [1.0, 19.0, 3.0]])
+    at = wrench.cop_at(0.5)
+    assert at[0] == pytest.approx(0.15 + 0.5 * 60.0 / 600.0)
+    assert np.isnan(at[1])
