@@ -546,8 +546,8 @@ LISTED: dict[str, list[tuple[str, str]]] = {
         ('Trial.coordinate, "°")', 'Trial.velocity, "°")'),
         ('Trial.velocity, "°/s")', 'Trial.velocity, "°")'),
         (
-            "width = max(shown, 1.0) * band.normal(cuff)",
-            "width = band.normal(cuff)",
+            "width = max(shown, 1.0) * after.bands.normal(cuff)",
+            "width = after.bands.normal(cuff)",
         ),
         ("middle - width,", "middle,"),
         ('y = [r["grf_n"] for r in some]', 'y = [r["cop_mm"] for r in rows]'),

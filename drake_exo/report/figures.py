@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle, pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import matplotlib
 import numpy as np
@@ -42,7 +43,7 @@ from drake_exo.files.schema import quantity
 from drake_exo.files.tables import runs as runs_of
 from drake_exo.measurement.quality import TrialQuality
 from drake_exo.measurement.sagittal import COP_THRESHOLD_N
-from drake_exo.measurement.trial import Trial
+from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.assembly import SIDES, without_side
 from drake_exo.model.coordinates import Coordinates
 
@@ -82,7 +83,7 @@ def plot_trials(
         found: solved trials.
         measured: the same trials in the same order.
         uncalibrated: the same predicted with nominal cuffs, None if not solved.
-        bands: 95 % bands around the cuffs' forces of `found`, if any.
+        bands: 95 % bands around `found`, if any.
 
     Returns:
         "ground_reaction", "kinematics" and, where there are such signals,
@@ -116,7 +117,7 @@ def plot_trials(
         runs = {"calibrated": found, "uncalibrated": uncalibrated}
     drawn = {
         "ground_reaction": ground_reaction_figure(runs, measured),
-        "kinematics": kinematics_figure(runs, measured),
+        "kinematics": kinematics_figure(runs, measured, bands),
     }
     if found[0].cuffs:
         drawn["interaction"] = interaction_figure(runs, measured, bands)
@@ -148,12 +149,20 @@ def _ground_rows(trial: Trial) -> list[tuple]:
     return rows
 
 
-def kinematics_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
-    """Joint angles and velocities of human and exoskeleton (Figs. 3, 6)."""
+def kinematics_figure(
+    runs: Runs, trials: Sequence[Trial], bands: Sequence[Bands | None] = ()
+) -> Figure:
+    """Joint angles and velocities of human and exoskeleton (Figs. 3, 6).
+
+    Args:
+        runs: label -> solved trials.
+        trials: as measured.
+        bands: 95 % bands around the first run, if any.
+    """
     rows = [
         row for signal in _JOINTS for row in _joint_rows(trials[0], *signal)
     ]
-    return _drawn(runs, trials, rows, height=1.35)
+    return _drawn(runs, trials, rows, height=1.35, bands=bands)
 
 
 _JOINTS = (Trial.coordinate, "°"), (Trial.velocity, "°/s")
@@ -191,18 +200,10 @@ def interaction_figure(
     Args:
         runs: label -> solved trials.
         trials: as measured.
-        bands: 95 % bands around the forces of the first run, if any.
+        bands: 95 % bands around the first run, if any.
     """
     found = [t for run in runs.values() for t in run if t is not None]
-    rows = _cuff_rows(*found)
-    first = next(iter(runs.values()))
-
-    def shade(axes) -> None:
-        for column, trial, band in zip(axes.T, first, bands, strict=False):
-            if band is not None and trial is not None:
-                _shade(column, trial, band)
-
-    return _drawn(runs, trials, rows, shade=shade)
+    return _drawn(runs, trials, _cuff_rows(*found), bands=bands)
 
 
 def _cuff_rows(*found: Trial) -> list[tuple]:
@@ -214,25 +215,39 @@ def _cuff_rows(*found: Trial) -> list[tuple]:
     return [(f"{cuff} normal [N]", signal(cuff)) for cuff in cuffs]
 
 
-def _shade(axes, trial: Trial, band: Bands) -> None:
-    """Draw bands of normal forces, as `Bands.coverage` counts them."""
-    # Rows of other runs' cuffs come after those of the first.
-    for ax, cuff in zip(axes, trial.cuffs, strict=False):
-        off = band.off_mats.get(cuff, 0.0)
-        _draw_band(ax, trial, band, cuff, _MODEL, off=off)
+def _shade(axes, rows, trial: Trial | None, band: Bands | None) -> None:
+    """Shade the rows' 95 % bands, as `Bands.coverage` counts them.
 
-
-def _draw_band(
-    ax, trial: Trial, band: Bands, cuff: str, color: str, shown=1.0, off=0.0
-) -> None:
-    """Shade the 95 % band of a cuff's normal force, times `shown`.
-
-    With mats it is the band of what these would show: `off` is added [N].
+    They show what instruments would read; where there are none, the movement.
     """
-    middle = shown * trial.cuffs[cuff].normal + off
-    width = max(shown, 1.0) * band.normal(cuff)
+    if trial is None or band is None:
+        return
+    names, cuffs = trial.coordinates, trial.cuffs.items()
+    middle = SimpleNamespace(
+        coordinates=names,
+        q=trial.q + band.off_q,
+        v=trial.v + band.off_v,
+        cuffs={
+            c: CuffForce(f.normal + band.off_mats.get(c, 0.0)) for c, f in cuffs
+        },
+    )
+    width = SimpleNamespace(
+        coordinates=names,
+        q=np.where(np.isfinite(band.seen_q), band.seen_q, band.q),
+        v=np.where(np.isfinite(band.seen_v), band.seen_v, band.v),
+        cuffs={c: CuffForce(band.normal(c)) for c, _ in cuffs},
+    )
+    for ax, (_, *signals) in zip(axes, rows, strict=False):
+        for signal in signals:
+            at = signal(middle)
+            if at is not None:
+                _draw_band(ax, trial.times, at, signal(width), _MODEL)
+
+
+def _draw_band(ax, times, middle, width, color: str) -> None:
+    """Shade a 95 % band, arrays (n,)."""
     ax.fill_between(
-        trial.times,
+        times,
         middle - width,
         middle + width,
         color=color,
@@ -253,7 +268,7 @@ def overview_figure(
     Args:
         found: as predicted.
         measured: the same trial.
-        band: 95 % band around the cuffs' forces, if any.
+        band: 95 % band around movement and forces, if any.
     """
     cuffs = _cuff_rows(found)
     columns = [_joint_rows(measured, *signal) for signal in _JOINTS]
@@ -267,10 +282,10 @@ def overview_figure(
             for ax in column[len(rows) :]:
                 ax.remove()
             _fill(column, {"predicted": found}, measured, rows)
+            if rows is not columns[-1]:
+                _shade(column, rows, found, band)
             column[len(rows) - 1].set_xlabel("time [s]")
             column[len(rows) - 1].tick_params(labelbottom=True)
-        if cuffs and band is not None:
-            _shade(axes[: len(cuffs), 2], found, band)
         below = _legend(figure) + 0.15  # inches: the name has its own line
         top = 1.0 - below / figure.get_size_inches()[1]
         figure.text(0.01, top, measured.name, va="bottom")
@@ -395,18 +410,19 @@ def _beside(axis, at: tuple[float, float], text: str, above: bool) -> None:
     )
 
 
-def _drawn(runs, trials, rows, height=1.9, shade=None) -> Figure:
+def _drawn(runs, trials, rows, height=1.9, bands=()) -> Figure:
     """Figure with a row for each (label, signal[, the device's]), by trial.
 
     A single trial of two legs has the left one's rows beside the right one's.
-    `shade` draws into the axes of whole trials before the legend is made.
+    Bands are those of the first run.
     """
     parts, legs = [rows], [_of_side(rows, side) for side in SIDES]
     halves = all(2 * len(leg) == len(rows) for leg in legs)
-    if len(trials) == 1 and halves and shade is None:
+    if len(trials) == 1 and halves:
         parts = legs
     count, across = len(parts[0]), len(parts) * len(trials)
     width = _panel_width(across)
+    first, banded = next(iter(runs.values())), dict(enumerate(bands))
     with matplotlib.rc_context(STYLE):
         figure = Figure(
             figsize=(max(width * across, 4.4), height * count + 0.6)
@@ -421,10 +437,9 @@ def _drawn(runs, trials, rows, height=1.9, shade=None) -> Figure:
             column[0].set_title(_wrapped(trials[k].name, width))
             found = {name: run[k] for name, run in runs.items()}
             _fill(column, found, trials[k], part)
+            _shade(column, part, first[k], banded.get(k))
         for ax in axes[:, len(parts) :].flat:
             ax.set_ylabel("")
-        if shade is not None:
-            shade(axes)
         _finish(figure, axes)
     return figure
 
@@ -927,7 +942,10 @@ def _draw(axis, cuff: str, moved, built, shown: float) -> None:
     line(before.trial, "today", shown, color=_BEFORE, lw=1.4)
     line(after.trial, "design", shown, color=_AFTER, lw=1.4)
     if after.bands is not None and cuff in after.trial.cuffs:
-        _draw_band(axis, after.trial, after.bands, cuff, _AFTER, shown)
+        trial = after.trial
+        middle = shown * trial.cuffs[cuff].normal
+        width = max(shown, 1.0) * after.bands.normal(cuff)
+        _draw_band(axis, trial.times, middle, width, _AFTER)
     mats = {"color": "0.15", "lw": 1.0}
     line(before.measured, "measured today", **mats)
     as_built = built.get(before.trial.name)

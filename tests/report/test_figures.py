@@ -246,6 +246,38 @@ def test_bands_are_where_mats_would_show_the_force(trials, found):
     np.testing.assert_allclose([y.min(), y.max()], ends)
 
 
+@undrawn()
+def test_bands_of_joints_are_what_instruments_would_show(trials, found):
+    """Around the person, and the device; of the movement if not measured."""
+    trial = found[0]
+    names, by_rows = trial.coordinates, np.ones_like(trial.q)
+    seen = 0.02 * by_rows
+    seen[:, names.index("exo_hip")] = np.inf
+    band = replace(
+        band_of(trial, 3.0),
+        q=0.1 * by_rows, seen_q=seen, off_q=0.01 * by_rows,
+        v=0.3 * by_rows, seen_v=0.2 * by_rows, off_v=-0.4 * by_rows,
+    )  # fmt: skip
+    drawn = figures.plot_trials(found[:1], trials[:1], bands=[band])
+    glance = figures.overview_figure(trial, trials[0], band)
+    for figure in (drawn["kinematics"], glance):
+        rows = {ax.get_ylabel(): ax.collections for ax in figure.axes}
+        for joint, own in (("hip", (0.02, 0.1)), ("knee", (0.02, 0.02))):
+            for unit, read, off, widths in (
+                ("°", trial.coordinate, 0.01, own),
+                ("°/s", trial.velocity, -0.4, (0.2, 0.2)),
+            ):
+                areas = rows[f"{joint} [{unit}]"]
+                both = zip((joint, f"exo_{joint}"), widths, strict=True)
+                for area, (name, width) in zip(areas, both, strict=True):
+                    y = area.get_paths()[0].vertices[:, 1]
+                    middle = np.rad2deg(read(name) + off)
+                    half = np.rad2deg(width)
+                    ends = [middle.min() - half, middle.max() + half]
+                    np.testing.assert_allclose([y.min(), y.max()], ends)
+        assert not rows.get("CoP $x$ [m]")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("runs", [1, 2])
 @undrawn()
