@@ -87,6 +87,7 @@ def _solve(found) -> dict:
     s = found.solution
     return {
         "success": s.success,
+        "status": s.status,
         "iterations": s.iterations,
         "seconds": s.seconds["build"] + s.seconds["solve"],
     }

@@ -523,7 +523,9 @@ def _alone(made: Designed, kind: str) -> DesignResult:
 SHARES = (0.25, 0.5, 0.75, 1.0, 1.25)
 
 
-def front(made: Designed, shares: Sequence[float] = SHARES) -> list[dict]:
+def pareto_front(
+    made: Designed, shares: Sequence[float] = SHARES
+) -> list[dict]:
     """The least norm of forces for each share of today's support.
 
     Args:

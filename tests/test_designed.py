@@ -27,7 +27,7 @@ from drake_exo.calibration.settings import (
 from drake_exo.cli import design as command
 from drake_exo.contact.strap import Design
 from drake_exo.designed import Designed, Moved
-from drake_exo.designing import front
+from drake_exo.designing import pareto_front
 from drake_exo.model.plant import nominal_model
 
 CUFFS = ("shank", "thigh", "pelvis")
@@ -543,7 +543,7 @@ def test_a_front_asks_for_shares_of_today_s_work(made, monkeypatch):
             return as_guessed(self)
 
     monkeypatch.setattr(designing, "DesignProblem", Posed)
-    rows = front(made, (0.5, 1.0, 2.0))
+    rows = pareto_front(made, (0.5, 1.0, 2.0))
     assert [r["share"] for r in rows] == [0.5, 1.0, 2.0]
     (low, mid, high) = asked
     assert low == ((pytest.approx(0.35), 1.3), 0.5)
@@ -583,7 +583,7 @@ def test_points_of_a_front_that_nobody_would_take_are_told(
     monkeypatch.setattr(designing, "design_of", lambda *_: Design())
     norm = property(lambda r: norms.get(r.values.get("share"), 1.0))
     monkeypatch.setattr(DesignResult, "norm_n", norm)
-    rows = front(made)
+    rows = pareto_front(made)
     assert [r["share"] for r in rows] == list(norms)
     assert [r["success"] for r in rows] == [True, True, False, True]
     assert [r["dominated"] for r in rows][:2] == [True, False]
@@ -593,7 +593,7 @@ def test_points_of_a_front_that_nobody_would_take_are_told(
     for words in ("0.25 (dominated)", "0.75 (failed)", "after 4 points"):
         assert words in printed
     assert (tmp_path / "front.png").is_file()
-    monkeypatch.setattr(command, "front", lambda _: [])
+    monkeypatch.setattr(command, "pareto_front", lambda _: [])
     (tmp_path / "none").mkdir()
     assert not command._write_front(made, tmp_path / "none")
     assert capsys.readouterr().out == "stopped by the user after 0 points\n"

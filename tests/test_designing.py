@@ -33,7 +33,7 @@ from drake_exo.cli import main
 from drake_exo.contact.parameters import Posterior, nominal_contact
 from drake_exo.contact.strap import CuffDesign, Design, read_design
 from drake_exo.designed import Designed, Moved, Peak
-from drake_exo.designing import front, on_design
+from drake_exo.designing import on_design, pareto_front
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.files.output import Check, Verdict
@@ -666,7 +666,7 @@ def test_built_forces_stand_beside_the_forecast(found):
 
 @pytest.mark.slow
 def test_less_support_costs_less_force(found):
-    rows = front(found, (0.6, 1.0))
+    rows = pareto_front(found, (0.6, 1.0))
     assert [r["share"] for r in rows] == [0.6, 1.0]
     assert rows[0]["norm_n"] < rows[1]["norm_n"]
     assert rows[0]["work_j"] == pytest.approx(0.6 * rows[1]["work_j"], rel=0.02)
@@ -688,7 +688,7 @@ def test_a_front_keeps_its_shares_where_a_design_need_not(
     made = SimpleNamespace(
         found=SimpleNamespace(problem=problem), settings=settings, today=None
     )
-    assert front(made) == []
+    assert pareto_front(made) == []
     assert asked == [kept]
 
 

@@ -25,7 +25,7 @@ from drake_exo.calibration.design_variables import (
     design_variables,
     is_assistance,
     joints_below,
-    twin_of,
+    mirror_of,
 )
 from drake_exo.calibration.problem import (
     Compiles,
@@ -725,9 +725,9 @@ class DesignProblem(Compiles):
         ]
         self.variables = {}
         for v in self.design:
-            twin = twin_of(v.name) if settings.symmetric else ""
-            if twin in self.variables:
-                self.variables[v.name] = self.variables[twin]
+            mirror = mirror_of(v.name) if settings.symmetric else ""
+            if mirror in self.variables:
+                self.variables[v.name] = self.variables[mirror]
             else:
                 self.variables[v.name] = self._variable(v)
         cuffs = len(self.wearers[0].model.cuffs)

@@ -110,7 +110,7 @@ def design_variables(
     """All variables: cuffs', then places of joints, then assistance.
 
     Straps are varied as compliance [m/N, rad/(N m)]; 0 is a rigid strap. If the
-    design is symmetric, twins (`twin_of`) have the bounds that both allow.
+    design is symmetric, twins (`mirror_of`) have the bounds that both allow.
 
     Raises:
         InputError: it is symmetric, but the cuffs of a pair may not change
@@ -158,14 +158,14 @@ def design_variables(
     if not settings.symmetric:
         return found
     named = {v.name: v for v in found}
-    pairs = [(v, named.get(twin_of(v.name), v)) for v in found]
+    pairs = [(v, named.get(mirror_of(v.name), v)) for v in found]
     return [
         replace(v, lower=max(v.lower, t.lower), upper=min(v.upper, t.upper))
         for v, t in pairs
     ]
 
 
-def twin_of(name: str) -> str:
+def mirror_of(name: str) -> str:
     """Name of the variable of the other leg; itself if it has no side."""
     group, _, what = name.partition(".")
     return f"{other_side(group)}.{what}"

@@ -16,7 +16,7 @@ from drake_exo.cli import add_accept, add_out, add_study
 from drake_exo.cli.calibrate import report_failure, told_stopped
 from drake_exo.contact.parameters import ContactModel
 from drake_exo.designed import Designed
-from drake_exo.designing import SHARES, built, design, front
+from drake_exo.designing import SHARES, built, design, pareto_front
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
     STOPPED_CODE,
@@ -191,7 +191,7 @@ def _told(row: dict) -> str:
 
 def _write_front(made: Designed, out: Path) -> bool:
     """Compute, print and write the front; whether all its points are done."""
-    rows = front(made)
+    rows = pareto_front(made)
     whole = len(rows) == len(SHARES)
     if not rows:
         print(told_stopped(True, 0).lstrip())

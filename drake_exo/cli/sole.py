@@ -269,7 +269,7 @@ def _front(args) -> int:
         verdict = Verdict(tuple(c for p in points for c in _point_checks(p)))
         summary = {"name": case.name, "front": points} | verdict.summary()
         write_json(out / SUMMARY, summary)
-        paper.draw_front(out, {"front": points}, mark=verdict.mark)
+        paper.draw_pareto_front(out, {"front": points}, mark=verdict.mark)
         code = STOPPED_CODE if stopped else verdict.exit_code
         folder.end(code)
     print(paper.front_table(points))

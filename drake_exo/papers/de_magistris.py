@@ -78,8 +78,8 @@ _WHOLE = "1-Ref"  # the case whose front has all floors
 # Below: folder and key of the front, by key of the cases.
 UNLIMITED = "unlimited"
 _BELOW = {"cases": "", UNLIMITED: UNLIMITED + "/"}
-_FRONTS = {"cases": "front", UNLIMITED: "unlimited_front"}
-_FRONT, SOLES = "front.json", "soles.png"
+_PARETO_FRONTS = {"cases": "front", UNLIMITED: "unlimited_front"}
+_PARETO_FRONT, SOLES = "front.json", "soles.png"
 _TOLD = ("/optimize", "/front")  # jobs whose end is printed
 
 
@@ -175,7 +175,7 @@ class Study:
         self,
         out: Path,
         at_once: int = 2,
-        with_front: bool = False,
+        with_pareto_front: bool = False,
         accepted: Sequence[str] = (),
     ) -> tuple[Verdict, str]:
         """Optimise all cases; write their folders, summary, table, front.png.
@@ -183,7 +183,7 @@ class Study:
         Args:
             out: Folder to write into.
             at_once: Number of processes at a time.
-            with_front: Also find the front of c_tr against c_rot.
+            with_pareto_front: Also find the front of c_tr against c_rot.
             accepted: Names of checks that the user accepts.
 
         Returns:
@@ -205,9 +205,9 @@ class Study:
                     given="search",
                 )  # fmt: skip
                 jobs += [*stages, last]
-                front = Job(f"{name}front", f"{__name__}:front_job", what)
+                front = Job(f"{name}front", f"{__name__}:pareto_job", what)
                 fronts.append(front)
-        jobs += fronts if with_front else []
+        jobs += fronts if with_pareto_front else []
 
         def note() -> None:
             """Write summary.json: an interrupted study keeps its cases."""
@@ -218,8 +218,8 @@ class Study:
                     for case in cases
                     if (folder / case.name / SUMMARY).is_file()
                 ]
-                if with_front:
-                    summary[_FRONTS[key]] = study_front(folder, cases)
+                if with_pareto_front:
+                    summary[_PARETO_FRONTS[key]] = study_front(folder, cases)
             summary["total_seconds"] = round(time.perf_counter() - began, 2)
             write_json(out / SUMMARY, summary)
 
@@ -267,7 +267,7 @@ def optimize_job(folder: Path, case: Case, say, search, accepted=()) -> str:
     return line(design.write(folder, say, accepted))
 
 
-def front_job(folder: Path, case: Case, say) -> str:
+def pareto_job(folder: Path, case: Case, say) -> str:
     """Find a case's front and write front.json; a line with its size.
 
     1-Ref has all floors; every other case the paper's own ratio of c_rot.
@@ -278,7 +278,7 @@ def front_job(folder: Path, case: Case, say) -> str:
         floors = (rot / rot0,)
     points = pareto_front(case, floors, say)
     points[0]["paper_ratio_tr"] = tr / tr0
-    write_json(folder / _FRONT, points)
+    write_json(folder / _PARETO_FRONT, points)
     return f"{case.name}: {len(points)} points of the front"
 
 
@@ -286,7 +286,7 @@ def study_front(folder: Path, cases: list[Case]) -> dict:
     """Points found so far: all of 1-Ref, and the first of every case."""
     found = {"points": [], "at_paper": []}
     for case in cases:
-        file = folder / case.name / _FRONT
+        file = folder / case.name / _PARETO_FRONT
         if not file.is_file():
             continue
         points = read_json(file, "run the study again")
@@ -326,12 +326,12 @@ def _tables(out: Path, summary: dict, mark: str) -> str:
         rows = summary.get(key)
         if rows:
             parts.append(title + table(rows) + "\n\n" + certainty_table(rows))
-        found = summary.get(_FRONTS[key])
+        found = summary.get(_PARETO_FRONTS[key])
         if found:
             others = [p for p in found["at_paper"] if p not in found["points"]]
-            fronts[_FRONTS[key].replace("_", " ")] = found["points"]
+            fronts[_PARETO_FRONTS[key].replace("_", " ")] = found["points"]
             parts.append(front_table(found["points"] + others))
-    draw_front(out, fronts, summary["cases"], mark)
+    draw_pareto_front(out, fronts, summary["cases"], mark)
     return "\n\n".join(parts)
 
 
@@ -432,7 +432,7 @@ def front_table(points: list[dict]) -> str:
     return "\n".join(lines)
 
 
-def draw_front(
+def draw_pareto_front(
     out: Path, fronts: dict[str, list[dict]], rows=(), mark: str = ""
 ) -> None:
     """Draw front.png: fronts by label, and designs beside the paper's."""

@@ -902,7 +902,7 @@ def design_front_figure(rows: list[dict]) -> Figure:
     """Norm of the forces against the device's work, by its share of today's.
 
     Args:
-        rows: as `designing.front` gives them.
+        rows: as `designing.pareto_front` gives them.
     """
     rows = [row for row in rows if row["success"]]
     with matplotlib.rc_context(STYLE):

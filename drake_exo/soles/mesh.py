@@ -422,10 +422,10 @@ def read_mesh(
     used, tets = np.unique(tets, return_inverse=True)
     nodes, tets = nodes[used], tets.reshape(-1, 4)
     extent = np.ptp(nodes, axis=0).max()
-    glued = np.ravel(said.get(_FIXED, []))
-    is_told = len(glued) > used.max()  # a file of `write_vtk`
+    fixed = np.ravel(said.get(_FIXED, []))
+    is_told = len(fixed) > used.max()  # a file of `write_vtk`
     if is_told:
-        top = np.flatnonzero(glued[used] > 0)
+        top = np.flatnonzero(fixed[used] > 0)
     else:
         top = np.flatnonzero(nodes[:, 2] > nodes[:, 2].max() - 1e-7 * extent)
     if origin is None:
@@ -565,10 +565,10 @@ def write_vtk(path: Path | str, mesh: TetMesh) -> None:
 
     Fixed nodes are marked, since a top may be curved.
     """
-    glued = np.zeros(len(mesh.nodes), np.int32)
-    glued[mesh.fixed] = 1
+    fixed = np.zeros(len(mesh.nodes), np.int32)
+    fixed[mesh.fixed] = 1
     cells = [("tetra", mesh.tets)]
-    meshio.Mesh(mesh.nodes, cells, {_FIXED: glued}).write(path)
+    meshio.Mesh(mesh.nodes, cells, {_FIXED: fixed}).write(path)
 
 
 def write_triangles(path: Path | str, corners: np.ndarray) -> None:

@@ -134,16 +134,16 @@ def _rectangle(places: np.ndarray) -> list[float]:
     *normal, offset = ConvexHull(places).equations.T
     # Inside, if its farthest corner in the direction of every edge is.
     corner = np.vstack([np.minimum(normal, 0), np.maximum(normal, 0)]).T
-    room = -offset - _INSIDE
+    margin = -offset - _INSIDE
     middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
     found = minimize(
         lambda x: -np.log(np.maximum(x[2:] - x[:2], 1e-9)).sum(),
         np.concatenate([middle - 1e-3, middle + 1e-3]),
         method="SLSQP",
-        constraints=LinearConstraint(corner, -np.inf, room),
+        constraints=LinearConstraint(corner, -np.inf, margin),
     )
     low, high = np.split(found.x, 2)
-    if (corner @ found.x > room + 1e-6).any() or (low >= high).any():
+    if (corner @ found.x > margin + 1e-6).any() or (low >= high).any():
         raise InputError(
             "pattern: no place of the sole lies 15 mm inside its outline; "
             "give back_m, front_m, outer_m and inner_m, or a larger sole"

@@ -10,7 +10,7 @@ from drake_exo.calibration.design import DesignProblem
 from drake_exo.calibration.design_variables import (
     design_of,
     design_variables,
-    twin_of,
+    mirror_of,
 )
 from drake_exo.calibration.settings import CuffFreedom, DesignSettings, Solver
 from drake_exo.calibration.wearers import Wearer
@@ -75,7 +75,7 @@ def test_twins_have_what_both_allow(wearer):
     assert each[right].lower == -0.1
     assert (both[left].lower, both[left].upper) == pytest.approx((-0.05, 0.1))
     for name, v in both.items():
-        assert both[twin_of(name)] == replace(v, name=twin_of(name))
+        assert both[mirror_of(name)] == replace(v, name=mirror_of(name))
     # Only the right knee is driven, so that a left one has no factor; alike,
     # both have, at the angles of both.
     assert "right_knee.factor_at_-90_deg" in each
@@ -87,7 +87,7 @@ def test_twins_have_what_both_allow(wearer):
 def test_one_variable_stands_for_both_sides(wearer):
     held = {"thigh_right.along_m": 0.02, "thigh_left.along_m": 0.02}
     problem = DesignProblem([wearer], SETTINGS, held=held)
-    pairs = [(n, twin_of(n)) for n in problem.variables]
+    pairs = [(n, mirror_of(n)) for n in problem.variables]
     index = {n: problem.program.index(v) for n, v in problem.variables.items()}
     assert all(index[a] == index[b] for a, b in pairs)
     assert len(set(index.values())) == len(pairs) / 2

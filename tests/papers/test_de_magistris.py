@@ -91,7 +91,7 @@ def ran(tmp_path, monkeypatch, capsys):
         ("front_table", told("front")),
         ("study_front", lambda folder, of: {
             "points": ["a", "b"], "at_paper": ["b", "c"], "in": folder.name}),
-        ("draw_front", lambda *said: seen.drawn.append(said)),
+        ("draw_pareto_front", lambda *said: seen.drawn.append(said)),
     ):  # fmt: skip
         monkeypatch.setattr(paper, name, value)
     clock = SimpleNamespace(perf_counter=lambda: next(seen.clock))
@@ -99,7 +99,7 @@ def ran(tmp_path, monkeypatch, capsys):
     out = tmp_path / "out"
     out.mkdir()
     study = paper.Study("a step", "both", cases)
-    seen.verdict, seen.text = study.run(out, 1, with_front=True)
+    seen.verdict, seen.text = study.run(out, 1, with_pareto_front=True)
     seen.said = capsys.readouterr().out
     seen.out, seen.summary = out, json.loads((out / "summary.json").read_text())
     return seen
@@ -158,7 +158,7 @@ def test_the_papers_designs_are_drawn_by_their_ratios(tmp_path, monkeypatch):
         pictures, "pareto_figure", lambda *said: seen.extend(said)
     )
     monkeypatch.setattr(paper, "save_figure", lambda *said: seen.extend(said))
-    paper.draw_front(tmp_path, {"a": []}, ["row"], "mark")
+    paper.draw_pareto_front(tmp_path, {"a": []}, ["row"], "mark")
     fronts, rows, ratios, path, _, mark = seen
     assert (fronts, rows, mark) == ({"a": []}, ["row"], "mark")
     assert path == tmp_path / "front.png"

@@ -138,7 +138,7 @@ def test_a_study_collects_its_fronts(tmp_path, monkeypatch):
     cases = [Case.open(settings) for settings in five[:3]]
     for case in cases[:2]:  # the third ended without
         (tmp_path / case.name).mkdir()
-        paper.front_job(tmp_path / case.name, case, str)
+        paper.pareto_job(tmp_path / case.name, case, str)
     found = paper.study_front(tmp_path, cases)
     assert [p["floor"] for p in found["points"]] == list(paper.FLOORS)
     assert len(paper.FLOORS) >= 7
