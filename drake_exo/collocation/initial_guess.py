@@ -21,7 +21,7 @@ from drake_exo.contact.hunt_crossley import contact_arm, sphere_force
 from drake_exo.contact.parameters import SPHERE_PARAMETERS
 from drake_exo.files.tables import runs
 from drake_exo.measurement.filters import minimum_jerk
-from drake_exo.measurement.sagittal import PlanarWrench, pierced
+from drake_exo.measurement.sagittal import PlanarWrench, centre_of_pressure
 from drake_exo.measurement.trial import Trial
 
 # Each sphere bears at least this share, so that both touch the ground.
@@ -119,7 +119,7 @@ def _loads(spheres, q, ground, height):
     """
     x = q[:, :1] + _reach(spheres[:, _PLACE], q[:, 2])[0]
     total = np.maximum(ground[:, 1], 2.0 * _LEAST_FORCE)
-    center = pierced(ground[:, 0], total, ground[:, 2], height)
+    center = centre_of_pressure(ground[:, 0], total, ground[:, 2], height)
     share = (center - x[:, 0]) / (x[:, 1] - x[:, 0])
     share = np.clip(share, _LEAST_SHARE, 1.0 - _LEAST_SHARE)
     loads = total[:, None] * np.column_stack([1.0 - share, share])

@@ -27,7 +27,7 @@ from drake_exo.measurement.processing import (
     Recording,
     needed_force,
 )
-from drake_exo.measurement.sagittal import pierced
+from drake_exo.measurement.sagittal import centre_of_pressure
 from drake_exo.measurement.settings import Plates, Standing, TrialFiles
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import Trial, saw_device
@@ -279,8 +279,8 @@ class Evidence(Made):
             scale: factor on lengths, to try another unit.
         """
         w = self.plates[foot][self.loaded(foot)]
-        x = pierced(w[:, 0], w[:, 2], w[:, 4])
-        y = pierced(w[:, 1], w[:, 2], -w[:, 3])
+        x = centre_of_pressure(w[:, 0], w[:, 2], w[:, 4])
+        y = centre_of_pressure(w[:, 1], w[:, 2], -w[:, 3])
         return (-scale if turned else scale) * np.stack([x, y], 1)
 
     def sole(self, foot: str, plate: str | None = None) -> np.ndarray | None:

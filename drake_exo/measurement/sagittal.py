@@ -76,7 +76,7 @@ def fixed(given) -> np.ndarray:
     return array
 
 
-def pierced(along, up, moment, height: float = 0.0) -> np.ndarray:
+def centre_of_pressure(along, up, moment, height: float = 0.0) -> np.ndarray:
     """Centre of pressure: where a force's line of action passes a height [m].
 
     Args:
@@ -160,7 +160,7 @@ class PlanarWrench:
     def cop_at(self, height: float) -> np.ndarray:
         """Centre of pressure (N,) [m] at a height [m]; NaN below 20 N."""
         load = np.where(self.is_loaded, self.force_z, np.nan)
-        return pierced(self.force_x, load, self.moment, height)
+        return centre_of_pressure(self.force_x, load, self.moment, height)
 
     def __add__(self, other: "PlanarWrench") -> "PlanarWrench":
         return PlanarWrench(
@@ -186,7 +186,9 @@ class PlanarWrench:
         before = (after - 1).clip(0)
         sooner = index - known[before] < known[after] - index
         nearest = known[np.where(sooner, before, after)]
-        at = pierced(0.0, self.force_z[nearest], self.moment[nearest])
+        at = centre_of_pressure(
+            0.0, self.force_z[nearest], self.moment[nearest]
+        )
         held = np.where(
             self.force_z >= below_n, self.moment, -at * self.force_z
         )

@@ -29,7 +29,7 @@ from drake_exo.measurement.recording import (
     plates_under,
     read_markers,
 )
-from drake_exo.measurement.sagittal import Axes, pierced
+from drake_exo.measurement.sagittal import Axes, centre_of_pressure
 from drake_exo.measurement.settings import RecordingSettings, Side, TrialFiles
 
 _FLAT_SHARE = 0.2  # of a contact's frames counts as flat: slowest rotation
@@ -324,8 +324,8 @@ def _cop(wrench: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
     From M = r × F + T e_z about the laboratory's origin.
     """
     F, M = wrench[:, :3], wrench[:, 3:]
-    x = pierced(F[:, 0], F[:, 2], M[:, 1], height)
-    y = pierced(F[:, 1], F[:, 2], -M[:, 0], height)
+    x = centre_of_pressure(F[:, 0], F[:, 2], M[:, 1], height)
+    y = centre_of_pressure(F[:, 1], F[:, 2], -M[:, 0], height)
     return np.stack([x, y], 1), M[:, 2] - (x * F[:, 1] - y * F[:, 0])
 
 
