@@ -538,12 +538,13 @@ def solve_with_drake(
     result = solver.Solve(scaled, guess / scale, settings)
     elapsed = time.perf_counter() - start
     values = scale * result.GetSolution(scaled.decision_variables())
+    told = result.get_solver_details().ConvertStatusToString()
     problem = SparseProgram(program)
     y = problem.restrict(values)
     worst = problem.worst_constraints(y)
     return Solution(
         success=result.is_success(),
-        status=result.get_solution_result().name,
+        status=_STATUS[0] if result.is_success() else told.lower(),
         iterations=0,
         objective=float(result.get_optimal_cost()),
         infeasibility=max((v for _, v in worst), default=0.0),

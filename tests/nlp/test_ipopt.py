@@ -41,7 +41,8 @@ def test_options_of_ipopt_that_the_program_holds_count():
     found = ipopt.solve(SparseProgram(program), np.zeros(6), once)
     assert found.status == "maximum number of iterations exceeded"
     assert found.iterations == 2
-    assert not ipopt.solve_with_drake(program, np.zeros(6)).success
+    theirs = ipopt.solve_with_drake(program, np.zeros(6))
+    assert not theirs.success and theirs.status == "max iteration exceeded"
     for name, value in (("max_iter", 2.5), ("iterations", 2)):
         program, _ = valleys()
         program.prog.SetSolverOption(IpoptSolver.id(), name, value)
@@ -106,7 +107,7 @@ def test_drakes_own_solver_reaches_the_same_optimum():
         program, np.zeros(6), SolverOptions(tolerance=1e-9)
     )
     assert ours.success
-    assert theirs.success
+    assert theirs.success and theirs.status == ours.status == "solved"
     assert ours.objective == pytest.approx(theirs.objective, rel=1e-7)
     index = program.indices(x)
     np.testing.assert_allclose(
