@@ -38,6 +38,8 @@ from drake_exo.files.output import (
     Check,
     Verdict,
     prepare_output_folder,
+    read_json,
+    stored,
     write_json,
     write_text,
 )
@@ -138,6 +140,7 @@ def run(args: argparse.Namespace) -> int:
     print_remarks(study, "prediction")
     clocks = usual = None
     if worn is not None:
+        checks += extrapolations(args.design)
         # By the cuffs that were worn, not the design's.
         clocks = find_clocks(study, study.trials("prediction"), contact)
         usual = worn.contact(uncalibrated(study.model, contact))
@@ -161,6 +164,15 @@ def run(args: argparse.Namespace) -> int:
         folder.end(code)
     print(f"results in {folder.path}{to_resume(code)}")
     return code
+
+
+def extrapolations(design: Path) -> list[Check]:
+    """Notes of a design's results that it is beyond what was calibrated."""
+    path = design / "summary.json"
+    if not path.is_file():  # a design.yaml alone
+        return []
+    verdict = stored(read_json(path, "run design again")) or Verdict(())
+    return [c for c in verdict.checks if c.name == "design.extrapolation"]
 
 
 def write_predictions(

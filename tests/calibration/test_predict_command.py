@@ -18,11 +18,22 @@ from drake_exo.calibration.settings import PredictionSettings, Solver
 from drake_exo.calibration.solving import read_checkpoint
 from drake_exo.cli import main
 from drake_exo.cli.calibrate import inputs
-from drake_exo.cli.predict import _accuracy, _summary, write_predictions
+from drake_exo.cli.predict import (
+    _accuracy,
+    _summary,
+    extrapolations,
+    write_predictions,
+)
 from drake_exo.contact.parameters import Posterior, nominal_contact
 from drake_exo.contact.strap import Design, Gains
 from drake_exo.errors import InputError
-from drake_exo.files.output import prepare_output_folder, read_json
+from drake_exo.files.output import (
+    Check,
+    Verdict,
+    prepare_output_folder,
+    read_json,
+    write_json,
+)
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import Device, JointDrive
 from drake_exo.study import Prediction, Study
@@ -184,6 +195,17 @@ def test_a_checkpoint_of_another_machine_is_taken(tmp_path):
     for other in (("b", values), ("a", values[:3]), ("a", values + 1e-3)):
         with pytest.raises(InputError, match=r"study .*without resume"):
             read_checkpoint(path, other, 4)
+
+
+def test_a_prediction_remarks_that_its_design_is_an_extrapolation(tmp_path):
+    far, near = (
+        Check(f"design.{name}", False, where="thigh", level="note")
+        for name in ("extrapolation", "bounds")
+    )
+    assert extrapolations(tmp_path / "design.yaml") == []
+    summary = Verdict((far, near)).summary()
+    write_json(tmp_path / "summary.json", summary)
+    assert extrapolations(tmp_path) == [far]
 
 
 @pytest.mark.parametrize(
