@@ -177,11 +177,13 @@ def prepare_output_folder(
 
 def _place(target: Path, force: bool, resume: bool) -> Path:
     """Folder to write to: target, or `NAME.partial`, emptied if no resume."""
-    occupied = bool(_files(target))
+    occupied = _files(target)
     if occupied and not (force or resume):
+        cut_off = any(Path(name).stem == "checkpoint" for name in occupied)
         raise InputError(
             f"{target}: already holds results; choose another folder for "
             "--out, or replace them with --force"
+            + (", or continue this run with --resume" if cut_off else "")
         )
     partial = _beside(target)
     if occupied and force and (others := _files(partial) - _own(partial)):

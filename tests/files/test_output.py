@@ -35,9 +35,14 @@ def test_fresh_folder_is_written_in_place(tmp_path):
 
 def test_occupied_folder_is_refused(tmp_path):
     (tmp_path / "old.txt").write_text("old")
-    with pytest.raises(InputError, match=r"already holds results.*--force"):
+    with pytest.raises(InputError, match=r"already holds results.*--force$"):
         prepare_output_folder(tmp_path)
     assert (tmp_path / "old.txt").read_text() == "old"
+    # As a run leaves it that was killed.
+    (tmp_path / "unfinished_rise1").mkdir()
+    (tmp_path / "unfinished_rise1" / "checkpoint.npz").write_text("")
+    with pytest.raises(InputError, match=r"--force, or .* with --resume$"):
+        prepare_output_folder(tmp_path)
 
 
 def test_file_in_place_of_folder_is_refused(tmp_path):
