@@ -140,7 +140,7 @@ def test_along_newton_s_step_all_residuals_fall_alike(
     if is_held and of_start:
         # With a pose that is held, references stay where they are.
         target.reference = target.reference.places(state.R, solver.lP)
-    point = solver._evaluate(state, target, 1.0)
+    point = solver._released(solver._evaluate(state, target, 1.0), target)
     dF, dp = solver._direction(point, target)
     state, active = point.state, point.active
     assert 5 < active.sum() < len(active)

@@ -281,6 +281,7 @@ class ContactSolver:
         state.O, state.R = target.turned(state.O, state.R)
 
         def improved(point):
+            point = self._released(point, target)
             dF, dp = self._direction(point, target)
 
             def trial(step):
@@ -333,16 +334,19 @@ class ContactSolver:
         self.active.update(np.flatnonzero(point.active))
         return Linearisation(self.active, self.law, point)
 
+    def _released(self, point, target):
+        """The point without inactive forces: their Newton step is dF = −F."""
+        stray = ~point.active & np.any(point.state.F != 0.0, axis=1)
+        if not stray.any():
+            return point
+        released = point.state.copy()
+        released.F[stray] = 0.0
+        new = self._evaluate(released, target, 1.0)
+        return replace(new, active=point.active, merit=point.merit)
+
     def _direction(self, point, target):
-        """Newton step dF, (dzO, dω) at a point, inactive forces set to zero."""
+        """Newton step dF, (dzO, dω) at a released point."""
         state = point.state
-        stray = ~point.active & np.any(state.F != 0.0, axis=1)
-        if stray.any():  # their Newton step is dF = −F: take it at once
-            released = state.copy()
-            released.F[stray] = 0.0
-            kept = {"active": point.active, "merit": point.merit}
-            new = self._evaluate(released, target, 1.0)
-            point.__dict__.update(new.__dict__ | kept)
         try:
             lin = self._linearisation(point)
             dF, phi = np.zeros_like(state.F), point.phi[lin.nodes]
