@@ -519,6 +519,7 @@ def test_a_device_s_torques_are_on_the_clock_that_is_found(monkeypatch):
         assert covariance[k, k] == pytest.approx(0.004**2)
 
 
+@pytest.mark.slow
 def test_springs_answer_once_on_a_design(monkeypatch):
     """In the prediction; the trial that it begins with has them as measured."""
     monkeypatch.setattr(designing, "posture_law", lambda *args: {})

@@ -40,11 +40,14 @@ def room_of(path: Path) -> str:
 
 
 @functools.cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
 def imported(path: Path) -> set[str]:
     """Other rooms that a file imports, anywhere in it."""
-    return rooms_in(ast.parse(path.read_text(encoding="utf-8"))) - {
-        room_of(path)
-    }
+    return rooms_in(tree_of(path)) - {room_of(path)}
 
 
 def rooms_in(tree: ast.Module) -> set[str]:
@@ -118,9 +121,7 @@ def test_files_are_worth_opening():
 def test_no_files_import_each_other():
     """In a room, too, and also where an import stands within a function."""
     names = {".".join(("drake_exo", *parts(p))): p for p in MODULES}
-    left = {
-        p: files_in(ast.parse(p.read_text("utf-8")), names) for p in MODULES
-    }
+    left = {p: files_in(tree_of(p), names) for p in MODULES}
     while free := [p for p, own in left.items() if not own & set(left) - {p}]:
         for path in free:
             del left[path]

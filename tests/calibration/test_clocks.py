@@ -230,6 +230,7 @@ def test_a_prediction_is_compared_on_the_clock_that_was_found(
     assert found.timed(other).provenance == other.provenance
 
 
+@pytest.mark.slow
 def test_signals_are_spread_on_the_clocks_that_were_found(
     predicted, regular, in_device
 ):

@@ -44,6 +44,7 @@ def _by_x(problem, result):
     return index, unit * found.by_gradient @ program.unknowns.matrix.T
 
 
+@pytest.mark.slow
 def test_intervals_are_of_the_program_that_was_solved():
     """Whatever is added to it and solved afterwards."""
     made = rises_in_device(1, nodes_per_second=20)

@@ -215,6 +215,7 @@ def test_two_subjects_are_refused(trials, tmp_path, capsys):
     assert "report a folder of one subject" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_two_bodies_of_one_name_are_refused(trials, tmp_path, capsys):
     """Laboratories call more than one person "subject"."""
     leave(tmp_path / "a", trials, "prediction")

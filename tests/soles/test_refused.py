@@ -237,6 +237,7 @@ def test_a_case_is_never_replaced(case, capsys):
     assert (case / "case.yaml").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_load_is_never_replaced(case, capsys):
     """An earlier run's table is one, too."""
     file, folder = case / "case.yaml", case / "step"

@@ -305,6 +305,7 @@ def _for_the_worst(*iterations):
     )
 
 
+@pytest.mark.slow
 def test_a_search_for_the_worst_load_begins_with_the_mean(monkeypatch):
     """In the first of several stages, also where that was interrupted.
 
@@ -726,6 +727,7 @@ def test_walks_begin_with_the_sole_for_the_case_s_own(monkeypatch):
 # The front
 
 
+@pytest.mark.slow
 def test_each_floor_starts_from_the_one_below(monkeypatch):
     """c_rot above 1.01 of it, c_tr alone; ratios to the brick's."""
     # One sample: of a load that stays, nodes on the cone may stick or slip.
