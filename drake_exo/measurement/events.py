@@ -30,6 +30,7 @@ STEADY_SHARE = 0.1  # force within this share of body weight: standing
 STEADY_S = 0.1  # time for which it must stay there
 _MIN_RANGE_M = 0.15  # least vertical travel of the hips in a rise
 _SHORTEST_S = 0.1  # shorter contacts are noise
+_STOOD_SHARE = 0.1  # of the largest load: the foot stood there before
 _CLEAR_S = 0.02  # least time between a whole contact and the file's ends
 
 
@@ -187,6 +188,22 @@ def contacts(
             ends = bool(time[-1] - time[b - 1] >= _CLEAR_S)
             at = float(time[a]), float(time[b - 1])
             found.append(Contact(*at, begins, ends))
+    return found
+
+
+def heel_strikes(time: np.ndarray, F_z: np.ndarray) -> list[float]:
+    """When a foot comes down [s]; a cycle may begin and end with the samples.
+
+    Args:
+        time: (N,) [s].
+        F_z: (N,) vertical force under the foot [N].
+    """
+    found = []
+    for a, b in runs(F_z >= COP_THRESHOLD_N):
+        is_noise = time[b - 1] - time[a] < _SHORTEST_S and b < len(time)
+        stood_before = a == 0 and F_z[0] > _STOOD_SHARE * F_z.max()
+        if not (is_noise or stood_before):
+            found.append(float(time[a]))
     return found
 
 

@@ -40,9 +40,8 @@ from drake_exo.files.output import (
     write_json,
 )
 from drake_exo.files.schema import quantity
-from drake_exo.files.tables import runs as runs_of
+from drake_exo.measurement.events import heel_strikes
 from drake_exo.measurement.quality import TrialQuality
-from drake_exo.measurement.sagittal import COP_THRESHOLD_N
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.model.assembly import SIDES, without_side
 from drake_exo.model.coordinates import Coordinates
@@ -327,19 +326,8 @@ def _cycles(trials: Sequence[Trial]) -> list[tuple]:
     found = []
     for k, trial in enumerate(trials):
         for side, ground in trial.feet.items():
-            strikes = _strikes(trial.times, ground.force_z)
+            strikes = heel_strikes(trial.times, ground.force_z)
             found += [(k, side, *at) for at in pairwise(strikes)]
-    return found
-
-
-def _strikes(times, force_z) -> list[float]:
-    """When a foot comes down [s], a trial's first and last sample included."""
-    found = []
-    for a, b in runs_of(force_z >= COP_THRESHOLD_N):
-        is_noise = times[b - 1] - times[a] < 0.1 and b < len(times)
-        stood_before = a == 0 and force_z[0] > 0.1 * force_z.max()
-        if not (is_noise or stood_before):
-            found.append(times[a])
     return found
 
 

@@ -10,6 +10,7 @@ from drake_exo.measurement.events import (
     event_of,
     event_s,
     find_rises,
+    heel_strikes,
     until_seat_off,
 )
 from drake_exo.measurement.processing import _rises
@@ -252,3 +253,18 @@ def test_the_chair_bore_half_the_weight_before(rise):
         chair = share * WEIGHT * (1.0 - smooth(1.4, 2.0))
         (found,) = find(hip, chair, F_z)
         assert found.chair_bore_weight is had
+
+
+@pytest.mark.parametrize(
+    ("force", "strikes"),
+    [
+        ([0, 0, 700, 700, 700, 0, 0, 30], [0.2, 0.7]),  # the trial's last
+        ([50, 400, 700, 700, 0, 0, 0, 0], [0.0]),  # its first
+        ([600, 700, 700, 0, 0, 0, 0, 0], []),  # stood there before
+        ([0, 0, 30, 0, 700, 700, 700, 0], [0.4]),  # noise
+    ],
+)
+def test_a_cycle_may_begin_and_end_with_the_trial(force, strikes):
+    times = 0.1 * np.arange(8.0)
+    found = heel_strikes(times, np.array(force, dtype=float))
+    np.testing.assert_allclose(found, strikes)

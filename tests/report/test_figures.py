@@ -387,21 +387,6 @@ def test_a_walk_is_drawn_in_percent_of_each_foot_s_cycle(trials):
     assert "gait" not in figures.plot_trials(trials, trials)
 
 
-@pytest.mark.parametrize(
-    ("force", "strikes"),
-    [
-        ([0, 0, 700, 700, 700, 0, 0, 30], [0.2, 0.7]),  # the trial's last
-        ([50, 400, 700, 700, 0, 0, 0, 0], [0.0]),  # its first
-        ([600, 700, 700, 0, 0, 0, 0, 0], []),  # stood there before
-        ([0, 0, 30, 0, 700, 700, 700, 0], [0.4]),  # noise
-    ],
-)
-def test_a_cycle_may_begin_and_end_with_the_trial(force, strikes):
-    times = 0.1 * np.arange(8.0)
-    found = figures._strikes(times, np.array(force, dtype=float))
-    np.testing.assert_allclose(found, strikes)
-
-
 def test_a_front_is_force_against_angle():
     rows = [
         {"factor": 0.5, "success": True, "angles_deg": 0.2, "grf_n": 7.0},
