@@ -338,9 +338,17 @@ def refitted(
     return kept(fit_exoskeleton(other), device, fit_exoskeleton(human))
 
 
-def human_sdf(human: HumanParameters, person: Person | None = None) -> str:
-    """Text of human.sdf with this human's numbers and the person's legs."""
-    model, nominal = _read("human.sdf"), nominal_human()
+def human_sdf(
+    human: HumanParameters, person: Person | None = None, drawn: bool = True
+) -> str:
+    """Text of human.sdf with this human's numbers and the person's legs.
+
+    Args:
+        human: the numbers.
+        person: legs and toes; by default one leg for both.
+        drawn: whether it keeps its visuals.
+    """
+    model, nominal = _read("human.sdf", drawn), nominal_human()
     width = body_width(human)
     for name in SEGMENTS:
         segment, reference = getattr(human, name), getattr(nominal, name)
@@ -362,15 +370,16 @@ def human_sdf(human: HumanParameters, person: Person | None = None) -> str:
 
 
 def exoskeleton_sdf(
-    exoskeleton: ExoskeletonParameters, width: float = 1.0
+    exoskeleton: ExoskeletonParameters, width: float = 1.0, drawn: bool = True
 ) -> str:
     """Text of exoskeleton.sdf with this device's numbers.
 
     Args:
         exoskeleton: the device.
         width: the wearer's breadth over the nominal one, for the visuals.
+        drawn: whether it keeps its visuals.
     """
-    model, nominal = _read("exoskeleton.sdf"), nominal_exoskeleton()
+    model, nominal = _read("exoskeleton.sdf", drawn), nominal_exoskeleton()
     for name in SEGMENTS:
         segment, reference = getattr(exoskeleton, name), getattr(nominal, name)
         x, z = width, segment.length_m / reference.length_m
@@ -444,8 +453,13 @@ def _sole_depth(exoskeleton: ExoskeletonParameters) -> float:
     return max(-exoskeleton.heel_m[1], 0.01)
 
 
-def _read(name: str) -> ET.Element:
-    return ET.parse(models_path() / name).getroot()
+def _read(name: str, drawn: bool = True) -> ET.Element:
+    """A shipped SDF file, without its visuals unless it is drawn."""
+    root = ET.parse(models_path() / name).getroot()
+    for link in () if drawn else root.iter("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    return root
 
 
 def _text(model: ET.Element) -> str:

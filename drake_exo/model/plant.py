@@ -365,7 +365,8 @@ def _added(model: Model, plant: MultibodyPlant) -> MultibodyPlant:
     parser = Parser(plant)
     parser.package_map().AddPackageXml(str(models_path() / "package.xml"))
     assembly, human = model.assembly, model.human
-    text = human_sdf(human, assembly.human)
+    drawn = plant.geometry_source_is_registered()
+    text = human_sdf(human, assembly.human, drawn)
     (body,) = parser.AddModelsFromString(text, "sdf")
     _add_human_joints(plant, body, assembly)
     device = assembly.device
@@ -373,7 +374,7 @@ def _added(model: Model, plant: MultibodyPlant) -> MultibodyPlant:
         text = device.text
         if assembly.is_fitted:
             width = body_width(human)
-            text = hinged(exoskeleton_sdf(model.exoskeleton, width))
+            text = hinged(exoskeleton_sdf(model.exoskeleton, width, drawn))
         worn = add_device(parser, plant, device, text)
         for link, weld in device.welds.items():
             plant.WeldFrames(
@@ -384,7 +385,7 @@ def _added(model: Model, plant: MultibodyPlant) -> MultibodyPlant:
         _check_links(plant, worn, assembly)
         if not assembly.is_fitted:
             _add_shells(plant, worn, assembly, human)
-    if plant.geometry_source_is_registered():
+    if drawn:
         _draw_ground(plant)
     return plant
 

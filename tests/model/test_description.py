@@ -233,3 +233,24 @@ def test_a_sole_has_some_depth():
     assert description._sole_depth(nominal) == -nominal.heel_m[1]
     raised = replace(nominal, heel_m=(-0.05, 0.02))
     assert description._sole_depth(raised) == 0.01
+
+
+@pytest.mark.parametrize(
+    "sdf",
+    [
+        lambda drawn: human_sdf(scale_human(80.0, 1.8), Person("two"), drawn),
+        lambda drawn: exoskeleton_sdf(nominal_exoskeleton(), 1.1, drawn),
+    ],
+)
+def test_what_is_not_drawn_lacks_visuals_alone(sdf):
+    whole, bare = (ET.fromstring(sdf(drawn)) for drawn in (True, False))
+    visuals = [
+        (link, v) for link in whole.iter("link") for v in link.findall("visual")
+    ]
+    for link, visual in visuals:
+        link.remove(visual)
+
+    def told(model):
+        return [(e.tag, e.attrib, (e.text or "").split()) for e in model.iter()]
+
+    assert visuals and told(bare) == told(whole)
