@@ -55,6 +55,7 @@ def test_help_imports_no_command():
     assert said.endswith("False\n")
 
 
+@pytest.mark.slow
 def test_a_batch_that_is_done_loads_little(tmp_path):
     """What its results are read and drawn with takes seconds to load."""
     case = "name: a\nmaterial: {name: butyl}\nmesh: {brick: {divisions: [2]}}\n"

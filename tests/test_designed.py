@@ -114,6 +114,7 @@ def test_values_of_the_design_are_told(made):
     assert "thigh.across_m" not in rows
 
 
+@pytest.mark.slow
 def test_slopes_are_for_a_step_of_typical_size(made, monkeypatch):
     told = {v.name: 3.0 for v in made.found.problem.design}
     settings = SimpleNamespace(settings=SimpleNamespace(weight=0.5))
@@ -123,6 +124,7 @@ def test_slopes_are_for_a_step_of_typical_size(made, monkeypatch):
     assert own["thigh.area"] == pytest.approx(6.0 * 0.1)
 
 
+@pytest.mark.slow
 def test_what_is_felt_is_of_the_largest_forces(made, felt):
     """Over both wearers; across the limb as their mats would show it."""
     for row in felt:
@@ -171,6 +173,7 @@ def test_what_is_felt_is_of_the_largest_forces(made, felt):
             assert own["deflection_mm"] == pytest.approx(max(bent[2:]))
 
 
+@pytest.mark.slow
 def test_a_cuff_that_is_moved_far_is_named(told):
     assert "pelvis" in told.softened()
     assert "pelvis" in told.beyond()
@@ -305,6 +308,7 @@ def _check(found, name):
     return next(c for c in found if c.name == name)
 
 
+@pytest.mark.slow
 def test_checks_hold_the_numbers_of_the_tables(told):
     found = told.checks()
     support = told.support

@@ -433,6 +433,7 @@ def test_mats_and_model_differ_by_their_largest_forces():
     }
 
 
+@pytest.mark.slow
 def test_migration_is_what_encoders_tell():
     """Mean over trials with encoders of the largest; by a factor of 2."""
     made = dx.synthetic.rises_in_device(1, nodes_per_second=25.0)
@@ -484,6 +485,7 @@ def test_migration_is_what_encoders_tell():
     assert slid(moved[2:]) == {}
 
 
+@pytest.mark.slow
 def test_a_device_s_torques_are_on_the_clock_that_is_found(monkeypatch):
     """By 24 ms too early, a drive seemed to do 27 % more work in squats."""
     made = synthetic.rises_in_device(1, nodes_per_second=20)
@@ -706,12 +708,14 @@ def test_a_failed_design_is_sealed_and_written_as_such(found, tmp_path):
         made.design  # noqa: B018
 
 
+@pytest.mark.slow
 def test_studies_and_calibrations_must_match(study):
     own, contact = study
     with pytest.raises(InputError, match="1 studies and 2 calibrations"):
         dx.design(own, [contact, contact])
 
 
+@pytest.mark.slow
 def test_wearers_whose_files_would_be_called_alike_are_refused(study):
     """One's movements were written over the other's."""
     own, contact = study
@@ -772,6 +776,7 @@ def test_wrong_settings_are_one_sentence(text, said):
         schema.load_text(text, DesignSettings)
 
 
+@pytest.mark.slow
 def test_a_population_that_bears_a_load_is_told_before_work(monkeypatch):
     """Solving the own movements comes after."""
     made = synthetic.rises_in_device(1, nodes_per_second=20)

@@ -118,6 +118,7 @@ def test_files_are_worth_opening():
     assert len(FILES) <= 150
 
 
+@pytest.mark.slow
 def test_no_files_import_each_other():
     """In a room, too, and also where an import stands within a function."""
     names = {".".join(("drake_exo", *parts(p))): p for p in MODULES}

@@ -210,6 +210,7 @@ def test_what_is_no_study_is_told():
             function("a.yaml", *others)
 
 
+@pytest.mark.slow
 def test_what_a_study_does_not_have_is_not_set():
     """Misspelt, it was kept and never read."""
     made = dx.synthetic.rises_in_device(1, nodes_per_second=40)
@@ -226,6 +227,7 @@ def test_what_a_study_does_not_have_is_not_set():
     assert study.prediction == changed
 
 
+@pytest.mark.slow
 def test_a_study_in_python_is_checked_as_its_file():
     model, trials = dx.synthetic.rises_on_spheres(1, nodes_per_second=40)
     sphere = dx.settings.SphereSettings()

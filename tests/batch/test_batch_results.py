@@ -420,6 +420,7 @@ def test_each_variant_has_figures_of_its_own(tmp_path):
     assert all((tmp_path / name).is_file() for name in drawn)
 
 
+@pytest.mark.slow
 def test_a_swept_sole_leaves_figures_of_studies_as_they_are(tmp_path):
     rows = [
         replace(
@@ -458,6 +459,7 @@ def test_a_panel_holds_differences_over_means():
     assert float(ax.texts[0].get_text()[6:].replace("−", "-")) == -2.33
 
 
+@pytest.mark.slow
 def test_colours_of_subjects_have_a_key():
     """Where there are several, and each has a colour of its own."""
     for count in (1, 3, 7):
@@ -484,6 +486,7 @@ def test_colours_of_subjects_have_a_key():
         )
 
 
+@pytest.mark.slow
 def test_figures_of_what_does_not_hold_are_marked(tmp_path):
     rows = [_row(s, "1", "rmsd.grf_n.vertical", 5.0) for s in "ab"]
     sound = [replace(row, verdict="holds") for row in rows]

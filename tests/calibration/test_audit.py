@@ -52,6 +52,7 @@ def test_a_moment_too_much_is_missing_in_the_equations(predicted, base):
     assert force == pytest.approx(base[0], abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("column", [0, 1])
 def test_a_ground_reaction_too_much_is_missing_twice(predicted, base, column):
     """In the equations of motion, and in the law under the foot."""
@@ -63,6 +64,7 @@ def test_a_ground_reaction_too_much_is_missing_twice(predicted, base, column):
     assert found[0] == pytest.approx(25.0, abs=base[0] + 1e-6)
 
 
+@pytest.mark.slow
 def test_a_ground_moment_too_much_is_missing(predicted, base):
     (trial,) = predicted.trials
     ground = PlanarWrench(trial.ground.force, trial.ground.moment + 30.0)

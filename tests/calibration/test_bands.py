@@ -313,6 +313,7 @@ def tangent(program, y):
     return Z, H
 
 
+@pytest.mark.slow
 def test_a_posterior_is_the_inverse_of_the_curvature(coarse):
     """In the directions that the constraints leave, by dense algebra.
 
@@ -597,6 +598,7 @@ def test_bands_on_disk_are_the_middle_and_the_width(tmp_path):
     assert f"{CUFFS[2]}_mats_lower" not in columns
 
 
+@pytest.mark.slow
 def test_a_summary_holds_parameters_with_their_bounds(coarse):
     problem = coarse.problem
     study = dx.Study(problem.model, problem.trials, name="me")

@@ -29,6 +29,7 @@ def wearer():
     return worn(nominal_model("coupled"))
 
 
+@pytest.mark.slow
 def test_migration_beyond_its_limit_costs_more_than_forces_do(wearer):
     """2.5 times the objective's weight for all of it, either way."""
     today = as_guessed(DesignProblem([wearer], SETTINGS, held=True))
@@ -208,6 +209,7 @@ def test_slope_by_posture_is_that_of_differences(wearer):
     assert not wearer.slope(own.q).any()
 
 
+@pytest.mark.slow
 def test_a_forecast_s_torques_answer_as_far_as_the_device_strays(wearer):
     """Torques are as designed where it is today, and answer from there."""
     who = replace(wearer, law=LAW)

@@ -136,6 +136,7 @@ def test_bad_study_is_one_sentence(
         assert word in error
 
 
+@pytest.mark.slow
 def test_bad_recording_is_one_sentence(study_text, data_root, tmp_path, capsys):
     """Radians in a file whose header says degrees, and the like."""
     shutil.copytree(

@@ -153,6 +153,7 @@ def tracked(cost, variables, sigma, d):
 
 
 # Of the foot, the person and the device one each; the others take seconds.
+@pytest.mark.slow
 @pytest.mark.parametrize("phase", ["phase_a", "phase_b"])
 @pytest.mark.parametrize(
     "k",
@@ -168,6 +169,7 @@ def test_coordinates_and_velocities_are_tracked(request, phase, k):
     tracked(cost, grid.v[:, k], SIGMA_V[k], 3.0 * SIGMA_V[k])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phase", ["phase_a", "phase_b", "phase_c"])
 def test_ground_reaction_and_cop_are_tracked(request, phase):
     """The second by the moment about it, over the mean vertical force."""
@@ -333,6 +335,7 @@ def energies(in_device, cost) -> dict[str, np.ndarray]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["b", "c", "comfort"])
 def test_contact_energy_is_minimised(in_device, trial, kind):
     """Squared, of what no mat measures in Phase B, of all in Phase C."""
@@ -356,6 +359,7 @@ def test_contact_energy_is_minimised(in_device, trial, kind):
     assert small() - large() == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_comfort_minimises_torques_and_tracks_nothing(in_device, trial):
     cost = prediction_cost(in_device, trial, 1e9, objective="comfort")
     assert abs(cost.bend(cost.movement.ground, 10.0)) < 1e-9
@@ -412,6 +416,7 @@ def test_the_foot_alone_turns(in_device):
         assert turned == pytest.approx(0.1 if on_foot else 0.0, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_priors_of_cuffs_are_those_of_the_settings(in_device, trial):
     """Within a factor of 2, and within 15 mm, are two of three."""
     cost = interaction_cost(in_device, trial, 1e9)

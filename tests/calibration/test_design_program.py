@@ -106,6 +106,7 @@ def test_a_trial_is_read_as_it_was_filled_in(wearer, today):
         np.testing.assert_allclose(bent, size, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_norm_is_a_cost_over_time_cuffs_and_wearers(model, wearer):
     """By hand from the forces, at today's design; two movements, two people."""
     other = worn(model, "else", duration_s=2.0)
@@ -160,6 +161,7 @@ def test_effort_is_of_the_person_alone(wearer):
     assert costs[0] - costs[1] == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_what_changes_nothing_hardly_costs(wearer):
     """Half a thousandth by a variable's typical size."""
     # Of a movement that is tracked the cost would hide the last digits.
@@ -241,6 +243,7 @@ def test_a_program_s_constraints_hold_today(wearer, today):
     assert checked == wanted
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_program(wearer, today):
     limits = replace(
         SETTINGS.limits, pressure_kpa=3.0, mean_n=9.0, rate_n_s=50.0, **DRIVES
@@ -399,6 +402,7 @@ def least_room(problem, x, ending):
     return np.concatenate(rooms).min()
 
 
+@pytest.mark.slow
 def test_mean_and_rate_of_a_cuff_s_force_have_limits(wearer, today):
     """As mats would show them; over trials of any length, each once."""
     first = replace(wearer.trials[0], name="first")
@@ -594,6 +598,7 @@ def test_cuffs_move_with_joints_below_them(wearer, model):
         )
 
 
+@pytest.mark.slow
 def test_what_a_moved_joint_carries_weighs_where_it_is(wearer, model):
     """Residual forces change by the slope of the weight's potential."""
     problem = DesignProblem([wearer], EVERYTHING, held=True)
@@ -856,6 +861,7 @@ def test_gains_have_their_bounds(wearer):
         assert [v.lower, v.upper, v.today, v.size] == expected
 
 
+@pytest.mark.slow
 def test_a_spring_takes_work_by_the_angle_on_the_way(wearer):
     settings = replace(SETTINGS, assistance_over="gains")
     held = as_guessed(DesignProblem([wearer], settings, held=True))

@@ -71,6 +71,7 @@ def test_coupled_parameters_are_found():
     np.testing.assert_allclose(found.singular_values, expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_sensitivity_is_that_of_the_forces(result):
     """A parameter's influence, by differences of the law itself."""
     found = contact_sensitivity(result)
@@ -96,6 +97,7 @@ def test_sensitivity_is_that_of_the_forces(result):
         assert found.influence[i] == pytest.approx(influence), p.name
 
 
+@pytest.mark.slow
 def test_sensitivity_counts_time_not_nodes(result):
     """The same movement on twice as fine a grid in one half."""
     before = contact_sensitivity(result)
@@ -132,6 +134,7 @@ def test_the_command_writes_what_it_found(
     assert found["names"] == [p.name for p in result.parameters]
 
 
+@pytest.mark.slow
 def test_a_front_s_failed_solve_is_told(result):
     problem = copy(result.problem)
     settings = problem.settings
@@ -142,6 +145,7 @@ def test_a_front_s_failed_solve_is_told(result):
     assert "0.5 (failed)" in front_table(rows)
 
 
+@pytest.mark.slow
 def test_a_front_ends_where_it_is_stopped(result, monkeypatch, tmp_path):
     """With what it has, and the rest of the results as they are."""
     stopped = replace(result.solution, success=False, status=STOPPED_BY_USER)
@@ -186,6 +190,7 @@ def test_a_front_ends_where_it_is_stopped(result, monkeypatch, tmp_path):
     assert calibrate.finished(tmp_path, "it", 3) is None
 
 
+@pytest.mark.slow
 def test_a_front_is_of_the_grid_that_was_found(result, monkeypatch):
     """Damped and made finer: what does not hold on another tells nothing."""
     posed, solved = [], PhaseProblem.solve
@@ -212,6 +217,7 @@ def test_a_front_is_of_the_grid_that_was_found(result, monkeypatch):
     np.testing.assert_array_equal(half.movements[0].grid.parts, parts)
 
 
+@pytest.mark.slow
 def test_front_trades_kinematics_for_forces(result, tmp_path):
     rows = pareto_front(result)
     assert [r["factor"] for r in rows] == [0.5, 1.0]

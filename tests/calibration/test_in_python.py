@@ -43,6 +43,7 @@ def _value(posed, found, variable):
     return found.values[posed.program.indices(np.array([variable]))][0]
 
 
+@pytest.mark.slow
 def test_groups_of_settings_may_be_dicts(made):
     noise = {"moment_nm": 3.0}
     given = dx.settings.PredictionSettings(noise=noise, solver=COARSE)
@@ -87,6 +88,7 @@ def test_what_is_added_after_a_solve_counts_in_the_next(posed):
     assert _value(posed, posed.solve(), knee) > at + 0.01
 
 
+@pytest.mark.slow
 def test_a_variable_of_ones_own_starts_where_the_program_says(posed):
     prog = posed.program.prog
     near, nothing = prog.NewContinuousVariables(2, "own")
@@ -180,6 +182,7 @@ def test_a_trial_has_a_name_for_its_files(made, name):
             ask()
 
 
+@pytest.mark.slow
 def test_a_controller_of_the_device_alone_is_sent_to_predict(made):
     controller = dx.AssistController(knee_nm=10.0)
     with pytest.raises(InputError, match="AssistController, is for predict"):
@@ -244,6 +247,7 @@ def test_trials_of_the_same_samples_can_be_compared(made):
     assert trial.ground != replace(trial.ground, force=trial.ground.force + 0)
 
 
+@pytest.mark.slow
 def test_what_is_written_is_of_the_model_that_was_calibrated(tmp_path):
     """Whatever the study's is by now."""
     model, trials = dx.synthetic.rises_on_spheres(1, nodes_per_second=20)
@@ -273,6 +277,7 @@ def test_foot_and_ground_may_be_known():
     assert usual.parameters
 
 
+@pytest.mark.slow
 def test_phase_b_knows_nothing_of_a_calibration_before_it(made):
     """What was known is not of the values that a failed one ends with."""
     name = "thigh.normal_stiffness"
@@ -288,6 +293,7 @@ def test_nothing_is_started_near_what_is_no_solution(posed):
         posed.solve(near=3)
 
 
+@pytest.mark.slow
 def test_a_solution_is_solved_further_whatever_a_parameter_tells_there(
     monkeypatch,
 ):
@@ -331,6 +337,7 @@ def test_velocities_are_those_of_the_motion(made, factor):
         dx.FootGroundCalibration(made.model, [wrong])
 
 
+@pytest.mark.slow
 def test_what_a_callback_raises_ends_the_solve(posed):
     told = []
 

@@ -263,6 +263,7 @@ def test_effort_alone_is_minimised(model, step):
     np.testing.assert_allclose(term.target, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damped", [False, True])
 def test_a_regulariser_s_gradient_is_that_of_the_cost(model, step, damped):
     """Of a periodic step all that costs: effort, jerk, what alternates."""

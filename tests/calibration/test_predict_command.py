@@ -96,6 +96,7 @@ def test_what_is_complete_is_not_begun_again(
     assert (out / "summary.json").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_springs_tell_predictions_apart():
     """Those of moments that were measured, too: `--resume` keeps neither."""
     made = synthetic.rises_in_device(1, nodes_per_second=20)
@@ -113,6 +114,7 @@ def test_springs_tell_predictions_apart():
     assert again != found[1][0]
 
 
+@pytest.mark.slow
 def test_names_of_files_do_not_tell_runs_apart_but_clocks_do():
     """`--resume` goes on after files were moved."""
     made = synthetic.rises_in_device(1, nodes_per_second=20)
@@ -225,6 +227,7 @@ def test_bad_options_are_one_sentence(
     assert words in error and error.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_what_a_prediction_refuses_leaves_no_folder(tmp_path):
     made = synthetic.rises_in_device(1, nodes_per_second=20)
     study = Study(made.model, made.trials)
@@ -286,6 +289,7 @@ def test_differences_from_another_device_say_so(
         assert ("accuracy" in text) == (not designed and text is printed)
 
 
+@pytest.mark.slow
 def test_movements_start_from_a_chair_only_where_it_bears():
     """An empty plate may lie under the seat; a squat has no seat."""
     model, (trial,) = synthetic.rises_on_spheres(1, nodes_per_second=20)
@@ -308,6 +312,7 @@ def test_movements_start_from_a_chair_only_where_it_bears():
     assert found["starts_from"].startswith("a state of their own")
 
 
+@pytest.mark.slow
 def test_the_contact_beside_scaled_predictions_is_the_scaled_one(
     tmp_path, monkeypatch
 ):

@@ -65,6 +65,7 @@ def test_ground_contact_alone_survives_disk(in_device, tmp_path):
     assert read_calibration(tmp_path).contact == ground
 
 
+@pytest.mark.slow
 def test_cuffs_are_in_the_models_order(in_device, read_back, tmp_path):
     """The file's keys are sorted, the model's cuffs go up the leg."""
     names = list(read_json(tmp_path / "parameters.json", "")["parameters"])

@@ -53,6 +53,7 @@ def test_a_failed_calibration_says_none_either(failed, name):
         getattr(failed, name)
 
 
+@pytest.mark.slow
 def test_a_failed_solve_is_written_marked(failed, tmp_path):
     with undrawn():
         summary = failed.write(tmp_path)
@@ -201,6 +202,7 @@ def test_what_misses_is_split_and_lengths_change_gently():
     np.testing.assert_array_equal(split(parts, missed), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("refined", [1, 2])
 def test_a_grid_has_the_intervals_that_were_asked_for(refined):
     """Nodes a second, and twice as many where it was refined."""

@@ -68,6 +68,7 @@ def test_slipping_by_complex_steps():
     )
 
 
+@pytest.mark.slow
 def test_dynamics(tree, rng):
     """In a device, with loads, standing on a link far from the root."""
     bushings = [
@@ -96,6 +97,7 @@ def test_dynamics(tree, rng):
             check_curvature(kernel, x, weights, data=wrench)
 
 
+@pytest.mark.slow
 def test_dynamics_of_a_design(tree, rng):
     """With weights of links that move."""
     segments = [

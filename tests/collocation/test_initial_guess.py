@@ -108,6 +108,7 @@ MIDDLES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "modulus"),
     [
@@ -142,6 +143,7 @@ def test_more_spheres_give_the_ground_reaction(law, name):
     assert off[:, 2].max() < 6e-3
 
 
+@pytest.mark.slow
 def test_a_third_sphere_that_bears_nothing_changes_nothing():
     measured = np.tile([0.01, 0.07, 0.1], (len(TIMES), 1))
     ground = reaction(0.06, 0.01)

@@ -129,6 +129,7 @@ def test_fast_approach_pushes_more_than_fast_release(law, c):
         assert np.max(excess * x_dot) > 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("c", [0.0, 1.0, 5.0])
 def test_closed_cycles_never_create_energy(law, c):

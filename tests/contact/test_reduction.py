@@ -103,6 +103,7 @@ def test_spheres_are_found_again(planar):
     assert ("cop_y_m" in rows) == (not planar)
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_what_is_written():
     """One sphere cannot do it; the figures are those of its own table."""
     found = reduce_sole(_truth(), 1, False)
@@ -339,6 +340,7 @@ def test_intervals_are_those_of_least_squares():
     assert reduction._deviations(best)[2] > 1e5 * sd.max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planar", [True, False], ids=["plane", "space"])
 def test_a_frame_beside_the_sole_gives_the_same_spheres(planar):
     """As of a pad under the toes in the frame of an ankle."""

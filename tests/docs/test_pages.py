@@ -187,6 +187,7 @@ def test_the_device_in_the_page_is_worn():
     assert list(model.cuffs) == ["calf"]
 
 
+@pytest.mark.slow
 def test_the_controller_in_the_page_is_one(tmp_path, monkeypatch):
     from drake_exo.cli.predict import load_controller
     from drake_exo.collocation.kernels import ControllerKernel

@@ -164,6 +164,7 @@ def test_origin_with_the_wrong_sign_is_turned(tmp_path, markers, plate):
     )
 
 
+@pytest.mark.slow
 def test_counts_without_sign(monkeypatch, tmp_path, markers, plate):
     """As ezc3d hands them over: read as signed, less the offset's size."""
     path = tmp_path / "a.c3d"
@@ -280,6 +281,7 @@ def test_refuses_damaged_parameters(
     assert words in refusal(lambda path: dict(read_c3d(path).plates), path)
 
 
+@pytest.mark.slow
 def test_a_plate_that_cannot_be_read_blocks_nothing_else(
     monkeypatch, tmp_path, markers, plate
 ):
@@ -299,6 +301,7 @@ def test_a_plate_that_cannot_be_read_blocks_nothing_else(
     assert "plate 2: loaded 100 %" in second
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("share", "words"),
     [
@@ -331,6 +334,7 @@ def walking(data_root):
     return read_c3d(data_root / "c3d" / "opensim_walking5.c3d")
 
 
+@pytest.mark.slow
 def test_walking_markers_equal_opensims_export(walking, data_root):
     trc = read_trc(data_root / "c3d" / "opensim_std_walking5_markers.trc")
     assert trc.names == walking.markers.names
@@ -345,6 +349,7 @@ def test_walking_markers_equal_opensims_export(walking, data_root):
     assert np.abs(printed - theirs[seen]).max() < 0.01 + 1e-6
 
 
+@pytest.mark.slow
 def test_walking_forces_carry_the_body(walking):
     """Fails if a plate is flipped, turned or shifted."""
     names = walking.markers.names
@@ -377,6 +382,7 @@ def test_walking_forces_carry_the_body(walking):
     assert stance[0].any() and stance[1].any()
 
 
+@pytest.mark.slow
 def test_type_4_plates(data_root):
     """Four calibrated plates; their signals are drift of some newtons."""
     path = data_root / "c3d" / "nimble_UpsideDown_trial2_type4.c3d"
@@ -397,6 +403,7 @@ def test_type_4_plates(data_root):
     assert found.plates[3].force[0, 2] == pytest.approx(-np.dot(row, raw))
 
 
+@pytest.mark.slow
 def test_markers_alone(data_root):
     found = read_c3d(data_root / "c3d" / "ktk_walkingOptiTrack.c3d")
     assert not found.plates and found.analog is None
@@ -440,6 +447,7 @@ def bare_header(processor=84, frames=3, is_real=True) -> bytes:
     return block.ljust(512, b"\0") + parameters.ljust(512, b"\0")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("is_real", "size"), [(True, 4), (False, 2)])
 @pytest.mark.parametrize("processor", [84, 85])
 def test_truncated_files_are_told_by_their_header(

@@ -61,6 +61,7 @@ def plate(number, force_z):
     return PlateRecording(number, force, rest, rest)
 
 
+@pytest.mark.slow
 def test_c3d_markers_plates_and_channels(tmp_path, markers):
     load = np.where(TIME < 1.0, 0.0, 600.0)
     square = [[0.3, 0.3, 0], [-0.3, 0.3, 0], [-0.3, -0.3, 0], [0.3, -0.3, 0]]

@@ -339,6 +339,7 @@ def test_uneven_times_are_refused():
         uniform_time("f.trc", TIME, 47.0)
 
 
+@pytest.mark.slow
 def test_real_files(data_root):
     found = read_trc(data_root / "opencap_subject4/MarkerData/STS1.trc")
     assert found.positions.shape == (1399, 51, 3) and found.rate_hz == 100.0

@@ -146,6 +146,7 @@ def test_joints_that_are_not_known_are_named(tmp_path):
         read_osim(tmp_path / "missing.osim")
 
 
+@pytest.mark.slow
 def test_poses_of_a_real_model_are_those_of_another_reader(data_root):
     path = data_root / (
         "opencap_subject4/Models/optimized_scale_and_markers.osim"

@@ -164,6 +164,7 @@ def test_a_mark_lies_across_a_figure_from_corner_to_corner(tmp_path, size):
     assert box.y1 <= 0.0 and box.width < 1.4 * figure.bbox.width
 
 
+@pytest.mark.slow
 def test_a_mark_lies_below_a_legend_outside_the_axes(tmp_path, monkeypatch):
     figure = Figure((4.0, 3.0), layout="constrained")
     axes = figure.add_subplot(xlabel="time")

@@ -160,6 +160,7 @@ def test_markers_carry_the_mass(tmp_path):
         load_study(with_loads(tmp_path, wrong), tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("load", "words"),
     [
@@ -187,6 +188,7 @@ def test_loads_that_cannot_be_are_refused(tmp_path, load, words):
         with_loads(tmp_path, load)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("when", [{"from_s": 8750.0}, {"to_s": -0.1}])
 def test_a_load_that_is_never_carried_is_refused(tmp_path, when):
     write_recording(tmp_path, nominal_human(), model="human")
@@ -195,6 +197,7 @@ def test_a_load_that_is_never_carried_is_refused(tmp_path, when):
         load_study(with_loads(tmp_path, load | when), tmp_path)
 
 
+@pytest.mark.slow
 def test_a_force_file_without_that_plate_is_refused(tmp_path):
     write_recording(tmp_path, nominal_human(), model="human")
     forces = str(with_loads(tmp_path).trials[0].forces)

@@ -121,6 +121,7 @@ def test_short_gaps_of_standing_are_filled(folder):
     assert subject.model.human.ankle_height_m == pytest.approx(ANKLE, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_stated_mass_scales_the_models(folder):
     _, own = fitted(folder)
     _, heavy = fitted(folder, ("height_m: 1.75", "height_m: 1.75, mass_kg: 78"))
@@ -151,6 +152,7 @@ def test_a_study_without_markers_and_model_is_refused(folder):
         fitted(folder, ("m.osim", "none.osim"))
 
 
+@pytest.mark.slow
 def test_a_recording_of_other_markers_is_refused(folder):
     thigh = [f"{n}_{s}" for n in ("thigh1", "thigh2", "knee") for s in "lr"]
     standing = recorded(read_osim(folder / "m.osim"), {}, 20, thigh)

@@ -90,6 +90,7 @@ def test_its_own_columns_alone_are_read(folder):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "words"),
     [
@@ -116,6 +117,7 @@ def test_bad_descriptions_end_a_command(folder, capsys, model, words):
     assert "Traceback" not in said
 
 
+@pytest.mark.slow
 def test_values_of_another_device_are_not_passed_over(folder):
     shipped = {"exoskeleton": {"thigh": {"mass_kg": 2.0}}}
     with pytest.raises(
@@ -124,6 +126,7 @@ def test_values_of_another_device_are_not_passed_over(folder):
         write_recording(folder, nominal_human(), model=MODEL, **shipped)
 
 
+@pytest.mark.slow
 def test_a_mat_lies_on_a_cuff(folder):
     mat = {
         "segment": "thigh",
@@ -149,6 +152,7 @@ LOOSE = """<link name="loose"><inertial><mass value="1"/><inertia ixx="1"
 WELD = {"weld": {"shoe": "foot"}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new", "device", "words"),
     [
@@ -196,6 +200,7 @@ def test_devices_that_cannot_be_end_a_command(
     assert sentence == said.splitlines()[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("device", "words"),
     [

@@ -91,6 +91,7 @@ def markers(folder, change, file="sts.trc"):
     write_trc(folder / file, replace(data, positions=change(data)))
 
 
+@pytest.mark.slow
 def test_a_sound_recording_holds_every_check(folder):
     checks = read_study(folder / "study.yaml").plausibility()
     assert [c for c in checks if not c.holds] == []
@@ -108,6 +109,7 @@ def test_a_sound_recording_holds_every_check(folder):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["marker_axes", "both"])
 def test_markers_turned_round_bend_the_knees_backwards(folder, name):
     axes = "{marker_axes: {forward: -x, up: y}"
@@ -121,6 +123,7 @@ def test_markers_turned_round_bend_the_knees_backwards(folder, name):
     assert "marker_axes look turned round" in said(folder, "foot_sides")
 
 
+@pytest.mark.slow
 def test_plates_turned_round(folder):
     axes = "{force_axes: {forward: -x, up: y}}"
     edit(folder, "trials:", f"laboratory: {axes}\ntrials:")
@@ -129,6 +132,7 @@ def test_plates_turned_round(folder):
     assert "cop_along" in found and "euler" in found
 
 
+@pytest.mark.slow
 def test_encoders_that_count_the_other_way(folder):
     encoders(folder, lambda x: x * [1.0, -1.0, 1.0])
     text = said(folder, "encoder_sign")
@@ -136,6 +140,7 @@ def test_encoders_that_count_the_other_way(folder):
     assert "sign looks flipped" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", range(3))
 def test_an_encoder_with_an_offset(folder, joint):
     encoders(folder, lambda x: x + np.deg2rad(15.0) * np.eye(3)[joint])
@@ -143,6 +148,7 @@ def test_an_encoder_with_an_offset(folder, joint):
     assert f"{EXO_JOINTS[joint]} reads +15 deg off" in text
 
 
+@pytest.mark.slow
 def test_offsets_are_those_of_the_most_upright_posture(folder):
     """Cuffs that hide a seventh of the movement are no offset.
 
@@ -195,16 +201,19 @@ def test_euler_is_missed_by_moments_about_the_ankle():
         assert found == pytest.approx(more, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_knee_and_hip_exchanged(folder):
     encoders(folder, lambda x: x[:, [0, 2, 1]])
     assert "columns look exchanged" in said(folder, "encoder_joints")
 
 
+@pytest.mark.slow
 def test_encoders_in_another_unit(folder):
     encoders(folder, np.rad2deg)
     assert "degrees may be taken for radians" in said(folder, "encoder_unit")
 
 
+@pytest.mark.slow
 def test_an_encoder_that_stands_still(folder):
     def change(x):
         x[150:200, 1] = x[150, 1]
@@ -214,12 +223,14 @@ def test_an_encoder_that_stands_still(folder):
     assert "exo_knee stands still" in said(folder, "encoder_frozen")
 
 
+@pytest.mark.slow
 def test_encoders_of_another_movement(folder):
     encoders(folder, lambda x: np.roll(x, 40, axis=0))
     text = said(folder, "encoder_motion")
     assert "the file may be of another trial" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late_s", [0.08, -0.08])
 def test_forces_on_another_clock(folder, late_s):
     table = read_table(folder / "sts.mot")
@@ -432,6 +443,7 @@ def test_a_trial_is_judged_by_the_one_most_like_it(monkeypatch):
     assert plausibility.LIMITS["encoder_stranger"][0] == 0.45
 
 
+@pytest.mark.slow
 def test_what_the_difference_of_device_and_person_depends_on(folder):
     """Each size by itself; noise is half a degree in 0.1 s."""
     study = read_study(folder / "study.yaml")
@@ -479,18 +491,21 @@ def test_two_trials_with_the_same_encoders(folder):
     assert "holds the same angles as the file of trial rise" in text
 
 
+@pytest.mark.slow
 def test_centres_of_pressure_in_millimetres(folder):
     forces(folder, lambda _, x: 1e3 * x, r"ground_force_[12]_(p.|m.)")
     text = said(folder, "cop_unit")
     assert "sts.mot" in text and "look like millimetres" in text
 
 
+@pytest.mark.slow
 def test_plates_exchanged(folder):
     edit(folder, "left: 2\n    right: 1", "left: 1\n    right: 2")
     text = said(folder, "plate_sides")
     assert "plates.left and plates.right look exchanged" in text
 
 
+@pytest.mark.slow
 def test_left_and_right_exchanged_in_the_names_of_markers(folder):
     def renamed(name):
         return {"L": "R", "R": "L"}[name[0]] + name[1:]
@@ -516,6 +531,7 @@ def test_plates_whose_fore_aft_force_counts_backwards(folder, plates, told):
     assert "sts.mot" in text and f"of plate {told} fits the motion" in text
 
 
+@pytest.mark.slow
 def test_a_plate_with_another_gain_in_the_trial(folder):
     forces(folder, lambda _, x: 1.2 * x, r"ground_force_2_(v|m).")
     found = failing(folder)
@@ -523,11 +539,13 @@ def test_a_plate_with_another_gain_in_the_trial(folder):
     assert "each plate's gain" in found["mean_weight"][0]
 
 
+@pytest.mark.slow
 def test_plates_that_push_the_person_over(folder):
     forces(folder, lambda _, x: x + 30.0, "ground_force_2_vz")
     assert "-30 N sideways on average" in said(folder, "mean_sideways")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("up_m", "word"), [(0.03, "higher"), (-0.03, "lower")])
 def test_a_floor_that_is_not_that_of_standing(folder, up_m, word):
     markers(folder, lambda d: d.positions + np.array([0.0, up_m, 0.0]))
@@ -546,6 +564,7 @@ def test_a_marker_that_is_off_for_three_frames(folder):
     assert "'L_meta' leaps at 1.8" in said(folder, "marker_leap")
 
 
+@pytest.mark.slow
 def test_a_marker_that_was_filled_with_its_last_place(folder):
     def change(data):
         points = data.positions.copy()
@@ -558,6 +577,7 @@ def test_a_marker_that_was_filled_with_its_last_place(folder):
     assert "'L_th1' stays in exactly one place from 1.6 s on" in text
 
 
+@pytest.mark.slow
 def test_a_height_that_is_another_persons(folder):
     """Told, not refused: people's legs differ."""
     edit(folder, "height_m: 1.7", "height_m: 1.4")
@@ -566,6 +586,7 @@ def test_a_height_that_is_another_persons(folder):
     assert check.level == "note" and "check the height" in check.sentence
 
 
+@pytest.mark.slow
 def test_a_mass_that_plates_do_not_show(folder):
     edit(folder, "mass_kg: 70.0", "mass_kg: 84.0")
     text = said(folder, "mass")
@@ -582,12 +603,14 @@ def test_forces_in_another_unit(folder, newtons, unit):
     assert "forces look like" in text and unit in text
 
 
+@pytest.mark.slow
 def test_standing_in_another_unit(folder):
     names = r"ground_force_\d_(v|m)."
     forces(folder, lambda _, x: x / 4.448, names, "static.mot")
     assert "forces look like lbf: export newtons" in said(folder, "mass")
 
 
+@pytest.mark.slow
 def test_forces_that_end_in_the_middle_of_the_rise(folder):
     table = read_table(folder / "sts.mot")
     rows = table.time <= 1.9
@@ -597,6 +620,7 @@ def test_forces_that_end_in_the_middle_of_the_rise(folder):
     assert "the recording ends at 1.9 s while the hips move" in text
 
 
+@pytest.mark.slow
 def test_a_recording_that_starts_in_the_middle_of_the_rise(folder):
     table = read_table(folder / "sts.mot")
     rows = table.time >= 1.6
@@ -621,6 +645,7 @@ def test_a_chair_that_is_a_filler(folder):
     assert "chair" in failing(folder)
 
 
+@pytest.mark.slow
 def test_a_plate_that_is_cut_off(folder):
     forces(
         folder, lambda _, x: np.minimum(x, 0.9 * x.max()), "ground_force_2_vy"
@@ -629,6 +654,7 @@ def test_a_plate_that_is_cut_off(folder):
     assert "plate 'left' is cut off at" in text
 
 
+@pytest.mark.slow
 def test_one_leg_bears_most(folder):
     forces(folder, lambda _, x: 0.26 / 0.4 * x, "ground_force_1_[vm].")
     forces(folder, lambda _, x: 0.74 / 0.6 * x, "ground_force_2_[vm].")
@@ -680,6 +706,7 @@ def refused(folder):
     return str(caught.value)
 
 
+@pytest.mark.slow
 def test_forces_in_kilonewtons_end_with_a_sentence(folder):
     forces(folder, lambda _, x: 1e-3 * x, r"ground_force_\d_(v|m).")
     text = refused(folder)
@@ -691,6 +718,7 @@ def test_forces_in_kilonewtons_end_with_a_sentence(folder):
     assert "static.mot: the feet bear 0." in refused(folder)
 
 
+@pytest.mark.slow
 def test_plates_that_bear_nothing_end_with_a_sentence(folder):
     old = "forces: static.mot\n  plates:\n    left: 2\n    right: 1\n"
     edit(folder, old, "forces: static.mot\n  plates: {both: 3}\n")
@@ -721,6 +749,7 @@ def test_the_command_ends_with_3_unless_it_is_accepted(folder, capsys):
     assert unmarked(out) == [] and list(out.glob("*.png"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command", [["calibrate", "--phase", "foot-ground"], ["sensitivity"]]
 )
@@ -736,6 +765,7 @@ def test_nothing_is_solved_with_input_that_cannot_be(folder, capsys, command):
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_in_python_nothing_is_solved_without_a_warning(folder, monkeypatch):
     """Once, unless somebody has looked."""
     edit(folder, "left: 2\n    right: 1", "left: 1\n    right: 2")
@@ -797,6 +827,7 @@ def test_a_device_that_nobody_measured_ends_before_anything_is_solved(
     assert "say 'model: human' if none was worn" in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "name"),
     [

@@ -65,6 +65,7 @@ def time_of(trial):
     return trial.start_s + trial.times
 
 
+@pytest.mark.slow
 def test_subject_is_measured_from_standing(loaded, human):
     subject, _ = loaded
     assert subject.mass_kg == pytest.approx(70.0)
@@ -86,6 +87,7 @@ def test_subject_is_measured_from_standing(loaded, human):
     )
 
 
+@pytest.mark.slow
 def test_trunk_from_the_table_stays_above_the_hips(made):
     folder, _, study = made
     table = replace(study, scaling=Scaling(trunk_com="table"))
@@ -102,6 +104,7 @@ def test_stretched_segments_keep_their_proportions(made, human):
     assert shank.inertia_kg_m2 == pytest.approx(human.shank.inertia_kg_m2)
 
 
+@pytest.mark.slow
 def test_rises_are_found_where_they_are(loaded):
     _, trials = loaded
     for trial, off, up in zip(trials, SEAT_OFF, STANDING, strict=True):
@@ -226,6 +229,7 @@ def coupled(files):
     return folder, replace(study, model="coupled", trials=trials)
 
 
+@pytest.mark.slow
 def test_encoders_join_at_their_own_rate(coupled):
     folder, study = coupled
     study = replace(study, trials=study.trials[:1])
@@ -239,6 +243,7 @@ def test_encoders_join_at_their_own_rate(coupled):
     np.testing.assert_allclose(trial.v[:, 6], speed, atol=3e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("own", "lag"), [(None, 0.1), (-0.04, -0.04)])
 def test_a_trial_may_have_a_lag_of_its_own(coupled, own, lag):
     """Systems that are started by hand lag by another time in each trial."""
@@ -251,6 +256,7 @@ def test_a_trial_may_have_a_lag_of_its_own(coupled, own, lag):
     np.testing.assert_allclose(trial.q[:, 6], ankle, atol=2e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag", [-0.06, 0.0234, 0.15])
 def test_a_trial_goes_on_another_clock_as_if_read_again(coupled, lag):
     """Up to its ends: it knows what was shown before and after, too."""
@@ -282,6 +288,7 @@ def test_a_trial_goes_on_another_clock_as_if_read_again(coupled, lag):
     assert retimed(known, clocks).around is known
 
 
+@pytest.mark.slow
 def test_what_is_around_a_trial_was_recorded(coupled):
     folder, study = coupled
     (files, *_), (start, end) = study.trials, (1.5, 3.0)
@@ -304,6 +311,7 @@ def test_what_is_around_a_trial_was_recorded(coupled):
     assert alone.around is None
 
 
+@pytest.mark.slow
 def test_without_encoders_the_exoskeleton_is_aligned(coupled):
     folder, study = coupled
     trials = (replace(study.trials[0], encoders=None),)
@@ -312,6 +320,7 @@ def test_without_encoders_the_exoskeleton_is_aligned(coupled):
     assert "no encoders" in trial.provenance["exoskeleton_angles"]
 
 
+@pytest.mark.slow
 def test_encoders_shorter_than_the_trial(coupled):
     folder, study = coupled
     with pytest.raises(InputError, match=r"exo\.mot.*cover 0\.5 to 6\.49"):
@@ -430,6 +439,7 @@ def test_refuses_too_few_markers_and_lists_all_gaps(files):
         assert part in message
 
 
+@pytest.mark.slow
 def test_fills_gaps_up_to_the_stated_length(files, loaded):
     folder, study = files
     hide(folder, ["R_sh1"], 160, 180)
@@ -456,6 +466,7 @@ def test_a_gap_across_the_edge_of_the_quiet_part_is_filled(files):
         fit_subject(lax, folder)
 
 
+@pytest.mark.slow
 def test_gaps_outside_the_used_part_do_no_harm(files, loaded):
     folder, study = files
     everything = [f"R_{n}" for n in ("sh1", "sh2", "kne", "heel", "meta")]
@@ -487,6 +498,7 @@ def test_lengths_in_another_unit_are_told(files):
     assert "R_sh1 lie" in message and "another unit of length" in message
 
 
+@pytest.mark.slow
 def test_refuses_a_missing_marker(files):
     folder, study = files
     edit_markers(
@@ -507,6 +519,7 @@ def test_refuses_a_plate_that_is_not_there(files):
     assert "no force plate 3; it holds plates 1, 2" in message
 
 
+@pytest.mark.slow
 def test_forces_on_the_plate(files, loaded):
     folder, study = files
 
@@ -613,6 +626,7 @@ def test_refuses_a_rise_that_is_not_there(files):
     assert "rise 3 was asked for, but 2 were found" in message
 
 
+@pytest.mark.slow
 def test_refuses_a_window_outside(files):
     folder, study = files
     trial = replace(study.trials[0], rise=None, start_s=5.0, end_s=20.0)
@@ -699,6 +713,7 @@ def test_zeros_of_hidden_markers_are_told_on_a_belt(made):
         fill_gaps(moved, ("a", "b"), 0.1)
 
 
+@pytest.mark.slow
 def test_a_clock_that_is_known_is_set_before_files_are_compared(files, loaded):
     folder, study = files
     table = read_table(folder / "sts.mot")

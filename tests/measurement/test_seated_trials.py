@@ -54,6 +54,7 @@ def with_laboratory(study, **changes):
     return replace(study, laboratory=replace(study.laboratory, **changes))
 
 
+@pytest.mark.slow
 def test_starts_seated_and_ends_standing(loaded):
     _, trial = loaded
     part = trial.provenance["part"]
@@ -64,6 +65,7 @@ def test_starts_seated_and_ends_standing(loaded):
     assert chair[0, 1] > 500.0 and not chair[-1].any()
 
 
+@pytest.mark.slow
 def test_chair_is_as_it_was_until_seat_off(loaded, made):
     _, truth, _ = made
     subject, trial = loaded
@@ -132,6 +134,7 @@ def test_without_device_and_recording_the_split_is_unknown(made):
     assert "unknown" in trial.provenance["moments"]["human"]
 
 
+@pytest.mark.slow
 def test_a_share_of_the_chair_on_the_thighs(made, loaded):
     """It bears the same; knees and above feel the difference, not below."""
     folder, _, study = made
@@ -208,6 +211,7 @@ def test_plates_are_levelled_by_an_empty_recording_and_by_themselves(files):
     assert found["chair"]["offset_n"] == pytest.approx(60.0)
 
 
+@pytest.mark.slow
 def test_a_chair_weighs_nothing(files, loaded):
     """Also where nothing else is levelled."""
     folder, study = files
@@ -229,6 +233,7 @@ def test_plates_that_somebody_stands_on_are_not_empty(files):
         load(with_trial(study, empty_plates=Path("sts.mot")), folder)
 
 
+@pytest.mark.slow
 def test_a_late_force_clock_is_found_by_feet_and_chair(files):
     folder, study = files
     table = read_table(folder / "sts.mot")
@@ -238,6 +243,7 @@ def test_a_late_force_clock_is_found_by_feet_and_chair(files):
     assert trial.provenance["delays_s"]["forces"] == pytest.approx(0.013)
 
 
+@pytest.mark.slow
 def test_a_lag_that_is_found_is_that_of_all_forces(files):
     """Of a handle's, too, and what ends before the markers is not held."""
     folder, study = files

@@ -158,6 +158,7 @@ def test_a_step_is_its_own_plates_alone(tmp_path):
     np.testing.assert_allclose(step.force, alone.force, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_plates_are_levelled_as_the_study_says(tmp_path):
     """Amplifiers that drift by 12 N would hold the foot down past its step."""
     study = _write(tmp_path, start=0.42, end=0.78)

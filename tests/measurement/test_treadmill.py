@@ -181,6 +181,7 @@ def test_a_part_of_a_recording_counts_its_own_frames(tmp_path, data_root):
         read_trc(path)
 
 
+@pytest.mark.slow
 def test_standing_may_face_another_way(walk):
     standing = replace(walk.file.standing, marker_axes=None)
     study = RecordedStudy(replace(walk.file, standing=standing), walk.root)

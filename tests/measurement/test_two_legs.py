@@ -58,6 +58,7 @@ def test_legs_that_move_alike_have_the_angles_of_one(tmp_path):
     assert np.median(ratio) == pytest.approx(1.5, abs=0.05)
 
 
+@pytest.mark.slow
 def test_plates_are_timed_though_feet_begin_and_end_beside_them(walk):
     """As the rises of that day say: one frame late."""
     file = walk.file
@@ -71,6 +72,7 @@ def test_plates_are_timed_though_feet_begin_and_end_beside_them(walk):
     assert len(clock) == 3 and all(c.holds for c in clock)
 
 
+@pytest.mark.slow
 def test_a_planar_body_is_found_again(walk):
     """What lies in the plane has no hips fore and aft of each other."""
     subject, tree = walk.subject, walk.model.tree
@@ -146,6 +148,7 @@ def _planar_ankles(tree, markers):
     return found
 
 
+@pytest.mark.slow
 def test_feet_stay_where_they_are_in_space(walk):
     """Angles give way by a degree or two, feet that stand do not."""
     for trial in walk.trials():
@@ -211,6 +214,7 @@ def test_several_plates_in_turn_are_one_foot():
         Plates(left=2, right=())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -238,6 +242,7 @@ def test_toes_need_a_marker(walk):
         study.subject  # noqa: B018
 
 
+@pytest.mark.slow
 def test_two_legs_need_the_markers_of_both(tmp_path):
     _, study = write_recording(tmp_path, nominal_human(), model=TWO)
     centres = study.markers.joint_centres

@@ -165,6 +165,7 @@ def test_a_joint_that_counts_the_other_way_round():
     assert model.coordinates.follows("motor") == "ankle"
 
 
+@pytest.mark.slow
 def test_a_device_written_from_its_other_end_is_the_same():
     """An angle is the child's against the parent, whichever is welded."""
     turned = edited(
@@ -248,6 +249,7 @@ def test_a_cuff_s_name_says_nothing_of_what_it_joins(name):
         crossed.tree  # noqa: B018
 
 
+@pytest.mark.slow
 def test_dynamics_in_the_file_are_left_out():
     """The study's are used; those of the file were no planar tree's."""
     axis, said = '<axis xyz="0 1 0"/>', []
@@ -788,6 +790,7 @@ CALF = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rpy", "axis", "com"),
     [
@@ -859,6 +862,7 @@ SDF = """<sdf version="1.9"><model name="d" canonical_link="shank">
 </model></sdf>"""
 
 
+@pytest.mark.slow
 def test_places_in_an_sdf_may_be_told_from_joints():
     """As `gz sdf -p` writes them; also of links that are renamed."""
     assembly = Assembly(
@@ -1050,6 +1054,7 @@ HALF = """<link name="shoe_{0}"><pose>0 0 0 {1}</pose>{3}</link>
 <axis><xyz>0 {2} 0</xyz></axis></joint>"""
 
 
+@pytest.mark.slow
 def test_either_side_of_a_device_may_be_drawn_its_own_way():
     """Each half hangs from its own welded link; joints' ends are frames."""
     inertial = (

@@ -28,6 +28,7 @@ def volume(text):
     return np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
 
 
+@pytest.mark.slow
 def test_round_tube_has_the_volume_of_a_capsule():
     keys = [(0.0, 0.0, 0.05, 0.05), (0.4, 0.0, 0.05, 0.05)]
     rings = tube(keys, around=96, roundness=1.0)

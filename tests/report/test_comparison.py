@@ -107,6 +107,7 @@ def test_side_by_side(folders, trials):
     assert ours == [f"{p:.2f}" for p in peaks]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", [True, {"name": "heel.x", "unit": "m"}])
 def test_damaged_parameters_are_one_sentence(tmp_path, trials, row):
     sound = leave(tmp_path / "a", trials[:1], 5.0)
@@ -115,6 +116,7 @@ def test_damaged_parameters_are_one_sentence(tmp_path, trials, row):
         compare([sound, damaged])
 
 
+@pytest.mark.slow
 def test_of_two_files_the_first_difference_is_told(tmp_path, trials):
     """Such as of two devices: a whole URDF would fill pages."""
     folders = []
@@ -130,6 +132,7 @@ def test_of_two_files_the_first_difference_is_told(tmp_path, trials):
     }
 
 
+@pytest.mark.slow
 def test_model_contact_and_filter_count_among_settings(tmp_path, trials):
     filtered = [
         replace(
@@ -191,6 +194,7 @@ def test_windows_of_one_recording_are_told_and_drawn_where_they_lie(
     np.testing.assert_allclose(drawn["b"][0].times[[0, -1]], (0.1, 0.6))
 
 
+@pytest.mark.slow
 def test_half_widths_and_marks(folders, tmp_path, trials):
     check = {
         **dict(name="audit", holds=False, value=2.5, limit=1.0, unit="N"),
@@ -223,6 +227,7 @@ def test_the_mark_is_on_everything_that_is_written(folders, tmp_path, trials):
     assert "compared.txt" in unmarked(tmp_path / "two")
 
 
+@pytest.mark.slow
 def test_one_trial_in_common_is_enough(tmp_path, trials):
     a = leave(tmp_path / "a", trials, 1.0)
     b = leave(tmp_path / "b", trials[1:], 1.0)
@@ -235,6 +240,7 @@ def test_one_trial_in_common_is_enough(tmp_path, trials):
         compare([a, c])
 
 
+@pytest.mark.slow
 def test_what_cannot_be_compared(tmp_path, folders, trials, capsys):
     more = {"phase": "interaction", "objective": 1.0}
     other = leave(tmp_path / "x", trials, 1.0, **more)

@@ -246,6 +246,7 @@ def test_bands_are_where_mats_would_show_the_force(trials, found):
     np.testing.assert_allclose([y.min(), y.max()], ends)
 
 
+@pytest.mark.slow
 @undrawn()
 def test_bands_of_joints_are_what_instruments_would_show(trials, found):
     """Around the person, and the device; of the movement if not measured."""
@@ -341,6 +342,7 @@ def walk():
     )
 
 
+@pytest.mark.slow
 @undrawn()
 def test_legs_of_a_single_trial_are_side_by_side():
     one, other = walk(), replace(walk(), name="other")
@@ -365,6 +367,7 @@ def test_legs_of_a_single_trial_are_side_by_side():
         assert len(names) == 4 * rows and not any(names[1::2])
 
 
+@pytest.mark.slow
 @undrawn()
 def test_a_walk_is_drawn_in_percent_of_each_foot_s_cycle(trials):
     one = walk()
@@ -423,6 +426,7 @@ def test_factors_of_a_front_can_be_read_where_it_is_flat():
         assert not any(box.overlaps(other) for other in boxes[:k])
 
 
+@pytest.mark.slow
 def test_quality_shows_what_was_loaded():
     trial = replace(
         seen("one"),
@@ -563,6 +567,7 @@ def test_forces_of_a_design_lie_beside_those_of_today(trials, found):
     assert figure.get_suptitle().endswith(": a")
 
 
+@pytest.mark.slow
 def test_a_designed_device_is_drawn_where_it_holds():
     """At the start and at the end; the thigh's cuff 3 cm further up."""
     trial = solution()
@@ -757,6 +762,7 @@ def test_both_legs_joints_are_told_apart_without_hiding_curves():
     assert legend.y1 < ax.bbox.y0
 
 
+@pytest.mark.slow
 @undrawn()
 def test_one_trial_at_a_glance(trials, found):
     measured, predicted = trials[1], found[1]

@@ -371,6 +371,7 @@ def exported(one):
     return out, read_osim(out), q, v
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["two legs", "coupled", "turned ankle"])
 def test_with_pins_all_bodies_are_where_the_planar_ones_are(case, kind):
     """Centre of mass, momentum and kinetic energy, person and device."""
@@ -511,6 +512,7 @@ def test_ground_forces_are_each_foots(case):
             assert table.column(f"ground_torque_{end}_z") == pytest.approx(0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["alone", "two legs"])
 def test_chair_and_loads_are_among_the_forces(case, kind):
     """Without them OpenSim's inverse dynamics would miss a carried box."""
@@ -540,6 +542,7 @@ def test_chair_and_loads_are_among_the_forces(case, kind):
     assert table.column("ground_force_l_vy") == pytest.approx(share * 700.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["alone", "two legs"])
 def test_ground_forces_act_where_the_feet_are(case, kind):
     """On the midline they would bend the hips sideways."""
@@ -557,6 +560,7 @@ def test_ground_forces_act_where_the_feet_are(case, kind):
         assert np.abs(acts).min() > 0.05
 
 
+@pytest.mark.slow
 def test_what_was_done_is_said(case):
     said = " ".join(case("coupled").export().lines)
     assert "one leg stands for both" in said

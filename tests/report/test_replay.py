@@ -79,6 +79,7 @@ def test_bodies_move_as_drake_says(clip, root, body):
         np.testing.assert_allclose(found[k, 3:] * np.sign(w[0]), w, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_ground_reaction_starts_at_the_centre_of_pressure(clip):
     force = rows(clip["arrows"]["ground"], 6)
     np.testing.assert_allclose(force[50], [0.35, 0, 0, 50, 0, 800], atol=1e-4)
@@ -120,6 +121,7 @@ def test_each_foot_has_an_arrow_of_its_own():
     assert np.isnan(discs["/cop/left"][1, 0])
 
 
+@pytest.mark.slow
 def test_chair_pushes_at_the_height_of_its_seat(clip):
     force = rows(clip["arrows"]["chair"], 6)
     seat = DrawnModel(COUPLED).hip(rise()[:1])[0, 1] - 0.13
@@ -129,6 +131,7 @@ def test_chair_pushes_at_the_height_of_its_seat(clip):
     assert np.isfinite(clip["bodies"]["/chair"]).all()
 
 
+@pytest.mark.slow
 def test_cuffs_act_where_and_as_the_diagram_says():
     """Same deflection, hence same force: against the LeafSystem."""
     built = build_diagram(COUPLED, CONTACT)
@@ -226,6 +229,7 @@ def test_results_without_their_model_are_refused(tmp_path):
         replay_results(folder, tmp_path / "page.html")
 
 
+@pytest.mark.slow
 def test_results_of_two_subjects_are_refused(tmp_path):
     write_results(tmp_path / "all/a")
     other = write_results(tmp_path / "all/b")
@@ -236,6 +240,7 @@ def test_results_of_two_subjects_are_refused(tmp_path):
         replay_results(tmp_path / "all", tmp_path / "page.html")
 
 
+@pytest.mark.slow
 def test_a_device_is_the_same_wherever_its_file_lies(tmp_path, monkeypatch):
     """Calibrated by the study of one folder, predicted by another's."""
     for name in "ab":

@@ -79,6 +79,7 @@ def test_tables_and_figures_are_there(folder):
     assert {"table_2.csv", "table_3.csv", "tables.txt"} <= names
 
 
+@pytest.mark.slow
 def test_predictions_stand_beside_uncalibrated_ones(trials, tmp_path):
     """Of the first run alone, and of none that an earlier version left."""
     for name, more in (("x", {}), ("c1", {"rmsd_uncalibrated": []})):
@@ -96,6 +97,7 @@ def test_predictions_stand_beside_uncalibrated_ones(trials, tmp_path):
     assert missing is None
 
 
+@pytest.mark.slow
 def test_what_is_predicted_uncalibrated_is_kept(trials, tmp_path, monkeypatch):
     usual = replace(trials[0], source="solved", moments=trials[0].moments + 9.0)
     names = ("rmsd", "rmsd_uncalibrated", "solves")

@@ -93,6 +93,7 @@ def test_no_sole_is_compiled_in_another_way():
             assert "numba.njit" not in path.read_text("utf-8"), path
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="has no such timer")
 def test_ctrl_c_is_ctrl_c_in_compiled_code():
     """numba makes a SystemError of it, which no command takes for one."""

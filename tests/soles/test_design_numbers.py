@@ -61,6 +61,7 @@ def test_a_design_is_beside_its_initial_shape(design):
     assert list(told["multipliers"].values()) == list(best.multipliers)
 
 
+@pytest.mark.slow
 def test_a_load_s_c_is_over_the_size_of_the_first_one(design):
     weighty = copy(design)
     cost = replace(design.setup.settings.cost, weight=1e6)  # c < 0
@@ -73,6 +74,7 @@ def test_a_load_s_c_is_over_the_size_of_the_first_one(design):
     assert load["ratio"] == pytest.approx(load["c"] / -load["c_initial"])
 
 
+@pytest.mark.slow
 def test_all_stages_count(design):
     """Two of them: what was iterated in each, all simulations, the last.
 
@@ -206,6 +208,7 @@ def test_a_finer_mesh_has_twice_the_cells_and_few_more(divisions, by_hand):
     assert wanted <= np.prod(found) <= 1.3 * wanted
 
 
+@pytest.mark.slow
 def test_the_finer_check_is_a_simulation_on_a_finer_brick(design):
     finer = design.check_finer()
     divisions = settings._at_least_twice((4, 3, 2))

@@ -48,6 +48,7 @@ def history(sole, law):
     return follow(sole, law, as_load(*_load()), START)
 
 
+@pytest.mark.slow
 def test_every_sample_is_in_equilibrium(sole, history):
     assert history.converged.all()
     force, zmp = _load()
@@ -77,6 +78,7 @@ def _as_steps(sole, law, history: FiniteHistory) -> StepHistory:
     )
 
 
+@pytest.mark.slow
 def test_signorini_and_coulomb_hold_along_the_path(sole, law, history):
     steps = _as_steps(sole, law, history)
     error = complementarity(steps, law, START, sole.positions)
@@ -86,6 +88,7 @@ def test_signorini_and_coulomb_hold_along_the_path(sole, law, history):
     assert slipped[touching].max() > 1e-6  # the path is not all sticking
 
 
+@pytest.mark.slow
 def test_tends_to_small_strain_as_the_load_does(sole, law):
     """The relative difference falls in proportion to the load."""
     force, zmp = _load(3)
@@ -110,6 +113,7 @@ def _pose_change(before, after, zmp) -> np.ndarray:
     return np.r_[after.O - Z - turn @ (before.O - Z), w]
 
 
+@pytest.mark.slow
 def test_stiffness_is_the_change_of_the_wrench(sole, law, history):
     """K_c against poses re-solved under changed force and ZMP."""
     force, zmp = _load()

@@ -188,6 +188,7 @@ def test_slopes_agree_with_differences():
         )
 
 
+@pytest.mark.slow
 def test_the_worst_of_a_walk_counts():
     """Little more than the least of each limit's samples."""
     case = Case.from_text(_case())
@@ -200,6 +201,7 @@ def test_the_worst_of_a_walk_counts():
     np.testing.assert_allclose(values, least, atol=np.log(220) / 200)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_simulated_has_no_limits():
     """A shape of nothing; a step of 10 m, which no ZMP carries."""
     case = Case.from_text(_case())

@@ -115,6 +115,7 @@ def test_raised_ground_raises_the_foot():
     np.testing.assert_allclose(raised.K_c, flat.K_c, rtol=1e-8, atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [ContactSolver, GaussSeidelSolver])
 def test_a_slope_is_flat_ground_turned(kind):
     """Sideways, where a turn leaves the yaw of Rx·Ry·Rz as it is."""
@@ -137,6 +138,7 @@ def test_a_slope_is_flat_ground_turned(kind):
     assert complementarity(slope, solver.law, start, sole.positions) > 1e-2
 
 
+@pytest.mark.slow
 def test_finite_strain_on_a_slope_is_flat_ground_turned():
     load = _load(2)
     sole = _sole()
@@ -176,6 +178,7 @@ def test_an_animation_s_zmp_is_the_load_s():
     np.testing.assert_allclose(found[:, 2], ground.height(load.zmp), atol=1e-8)
 
 
+@pytest.mark.slow
 def test_methods_agree_on_bumps():
     ground, load = _ground(_bumps), _load()
     newton = _simulated(ground, load)[2]
@@ -188,6 +191,7 @@ def test_methods_agree_on_bumps():
     assert np.abs(plain.F - newton.F).max() > 5.0
 
 
+@pytest.mark.slow
 def test_finite_strain_stands_on_bumps():
     """A stiff sole strains little: both kinds give the same forces."""
     ground, load = _ground(_bumps), _load(2)

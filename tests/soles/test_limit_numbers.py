@@ -51,6 +51,7 @@ def design(problem):
     return 0.97 + 0.02 * rng.standard_normal(problem.spline.count)
 
 
+@pytest.mark.slow
 def test_slopes_of_cost_and_every_limit(problem, design):
     assert problem.names() == NAMES
     direction = np.random.default_rng(2).standard_normal(len(design))
@@ -68,6 +69,7 @@ def test_slopes_of_cost_and_every_limit(problem, design):
     assert np.abs(numeric).min() > 1e-3
 
 
+@pytest.mark.slow
 def test_the_nearest_design_that_its_shape_allows(problem, design):
     """What pulls it back is held by limits alone; within them it stays."""
 
@@ -87,6 +89,7 @@ def test_the_nearest_design_that_its_shape_allows(problem, design):
     )
 
 
+@pytest.mark.slow
 def test_slopes_by_force_and_zmp(problem, design):
     """Of cost and of the limits that need a simulation, each sample's own."""
     *_, by_load = problem._derivatives(design)
@@ -142,6 +145,7 @@ def test_cost_is_the_scaled_sum_of_its_samples(problem, design):
     assert values["c_rot"] == pytest.approx(e.c_rot / 300.0 - 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of", ["mean", "worst"])
 def test_several_loads_count_by_their_weights(problem, design, of):
     """One, and one thrice as much, each over its first shape's."""

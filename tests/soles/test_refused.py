@@ -264,6 +264,7 @@ def test_no_process_does_no_work(case, capsys):
     assert not (case / "out").exists()
 
 
+@pytest.mark.slow
 def test_points_of_a_front_survive_ctrl_c(case, monkeypatch, capsys):
     point = {"case": "small", "floor": 0.9, "c_tr": 1.0, "c_rot": 2.0,
              "ratio_tr": 0.5, "ratio_rot": 0.9, "optimality_error": 0.1,

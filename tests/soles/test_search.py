@@ -117,6 +117,7 @@ def test_the_first_design_is_shrunk_until_it_is_light_enough(problem):
     )
 
 
+@pytest.mark.slow
 def test_starts_are_smooth_bends_within_the_limits(problem):
     """Other ones each; about 3 % of cosines with up to three half waves."""
     found = [start_design(problem, BOUNDS, k) for k in range(4)]
@@ -336,6 +337,7 @@ def test_a_search_for_the_worst_load_begins_with_the_mean(monkeypatch):
     assert of[:2] == [(3, "mean"), (4, "worst")]
 
 
+@pytest.mark.slow
 def test_a_stage_limits_the_largest_strain_itself(case, monkeypatch):
     """The norm times what an exact run says; kept while the stage lasts."""
     stage = case.settings.optimize.stages[0]
@@ -387,6 +389,7 @@ def _fake_run(number, p, cost, violation=0.0):
     return best, Checkpoint(number, 0, p, starts=row)
 
 
+@pytest.mark.slow
 def test_starts_are_compared_on_a_finer_mesh(case):
     """Of at least twice the tets; what turns over there has no cost."""
     stage = replace(case.settings.optimize.stages[0], divisions=(4, 3, 2))
@@ -505,6 +508,7 @@ def test_the_best_start_goes_through_the_stages(case, monkeypatch):
     assert search.finished(setup, whole).seconds == 34.0 + 7.0
 
 
+@pytest.mark.slow
 def test_a_start_goes_on_or_is_taken_as_it_ended(case, monkeypatch):
     asked, said = [], []
 

@@ -107,6 +107,7 @@ def test_a_free_moment_is_reached(sole, kind):
     np.testing.assert_allclose(moment[:, :2], 0.0, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [ContactSolver, GaussSeidelSolver])
 def test_a_measured_pose_is_kept_and_its_force_reached(sole, history, kind):
     """The free step's orientations, prescribed, give its ZMP again."""
@@ -155,6 +156,7 @@ def test_first_jacobian_includes_the_moving_reference(sole):
     assert report.iterations <= 3
 
 
+@pytest.mark.slow
 def test_stiffness_matches_finite_differences(sole, history):
     """K_c against contact at perturbed poses, references frozen."""
     law = ContactLaw(0.8, sole.penalty)

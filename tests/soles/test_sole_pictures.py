@@ -220,6 +220,7 @@ def test_heel_strike_is_shaded_in_the_stiffness():
     assert "rad" in axes[2].get_ylabel()
 
 
+@pytest.mark.slow
 def test_legends_keep_clear_of_many_loads(mesh):
     """Below the axes: no place within them is free of curves."""
     load = _load(mesh, 40)
@@ -386,6 +387,7 @@ def test_iterations_are_numbered_through_the_stages():
     assert "cost" in cost.get_ylabel() and "error" in error.get_ylabel()
 
 
+@pytest.mark.slow
 def test_both_costs_over_the_brick_s():
     points = [{"ratio_tr": 0.5, "ratio_rot": 1.5},
               {"ratio_tr": 0.25, "ratio_rot": 1.1}]  # fmt: skip
@@ -431,6 +433,7 @@ def _places(figure, soles):
     return np.array(figure.axes[: 4 * soles]).reshape(soles, 4)
 
 
+@pytest.mark.slow
 def test_texts_of_the_sheet_lie_apart(sheet):
     _assert_texts_lie_apart(sheet[1])
 
@@ -610,6 +613,7 @@ def _arrows(axis):
     return found
 
 
+@pytest.mark.slow
 def test_dimensions_stand_where_they_measure(wedge):
     """Arrows as long as they say, the words half-way, turned if upright."""
     figure = pictures.drawing_figure(wedge, "it", np.ones(len(wedge.contact)))

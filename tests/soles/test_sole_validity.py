@@ -32,6 +32,7 @@ def _case(old="", new=""):
     return Case.from_text(EXAMPLE.replace(old, new) if old else EXAMPLE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force", [0.1, 1.0, 10.0, 800.0])
 def test_a_foot_is_set_down_under_any_load(force):
     text = EXAMPLE.replace("[4, 3, 2]", "[18, 12, 4]")

@@ -57,6 +57,7 @@ def test_change_is_radial(mesh):
     assert (change[~away] == 0).all()
 
 
+@pytest.mark.slow
 def test_a_load_is_drawn_in_millimetres_and_newtons(mesh):
     """ZMP on the outline, force over time."""
     t = np.linspace(0.0, 1.0, 5)
@@ -100,6 +101,7 @@ def test_stiffness_of_each_sole_has_room():
             )
 
 
+@pytest.mark.slow
 def test_the_key_of_all_soles_lies_below_them(mesh):
     """On the same scale: its 50 mm are those of the soles."""
     change = np.linspace(-1.0, 2.0, len(mesh.nodes))

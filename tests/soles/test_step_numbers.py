@@ -30,6 +30,7 @@ def step(tmp_path_factory) -> Step:
     return found
 
 
+@pytest.mark.slow
 def test_forces_and_zmp_are_the_nodes_sums(step):
     load = step.setup.load
     for q in range(11):

@@ -46,6 +46,7 @@ def compared(case, tmp_path_factory):
     return setup, compare_strains(setup, said.append), said
 
 
+@pytest.mark.slow
 def test_several_loads_count_by_their_weights(compared):
     """The same step twice is that step."""
     setup, found, _ = compared
@@ -58,6 +59,7 @@ def test_several_loads_count_by_their_weights(compared):
         assert again[key] == pytest.approx(found[key], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_each_sample_is_that_of_both_simulations(compared):
     setup, found, said = compared
     assert found["heel_strike_samples"] == found["converged_samples"] == 5

@@ -294,6 +294,7 @@ def test_a_top_that_is_nearly_flat_is_glued_whole(monkeypatch):
         sole_from_surface(nearly)
 
 
+@pytest.mark.slow
 def test_what_ends_mmg_is_told(monkeypatch):
     """Its own words, or how its process ended, which is not begun again."""
     flat = {"nodes": np.zeros((4, 3)), "tets": np.arange(4)[None]}

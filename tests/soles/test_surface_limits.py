@@ -175,6 +175,7 @@ def test_a_top_stays_that_is_not_level():
         _spline(below, **held).free_map()
 
 
+@pytest.mark.slow
 def test_a_patch_stays_on_the_meshes_of_all_stages():
     heel = "{shape: {fixed_m: [[[-1, -1, -1], [-0.06, 1, 1]]]}}"
     head, _, _ = EXAMPLE.partition("optimize:")

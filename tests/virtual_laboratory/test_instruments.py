@@ -241,6 +241,7 @@ def test_skin_is_drawn_between_its_limits():
             assert high - 0.05 * reach < values.max() <= high
 
 
+@pytest.mark.slow
 def test_feet_share_what_the_ground_bears(tmp_path):
     trial = happened()
     left, right, chair = (wrench(p) for p in recorded(tmp_path)["plates"])
@@ -270,6 +271,7 @@ def test_plate_noise_is_half_a_newton(tmp_path):
         assert np.abs(off.mean(axis=0)).max() < 0.05
 
 
+@pytest.mark.slow
 def test_plates_have_an_offset_that_drifts(tmp_path):
     reach = (2.0, 5.0, 0.5)
     slopes = []

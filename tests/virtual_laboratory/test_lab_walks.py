@@ -178,6 +178,7 @@ def worn_step(worn):
     return model, near, ContactModel(soles, nominal_contact(model).bushings)
 
 
+@pytest.mark.slow
 def test_a_periodic_step_has_bands(worn):
     """It tracks nothing, but what a calibration left open moves it."""
     model, near, contact = worn_step(worn)

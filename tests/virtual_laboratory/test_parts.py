@@ -64,6 +64,7 @@ def random_state(rng):
     return q + rng.normal(0.0, 0.01, 9), rng.normal(0.0, 0.3, 9)
 
 
+@pytest.mark.slow
 def test_forces_of_the_diagram_are_those_of_the_record():
     """LeafSystems in a diagram and batches over samples: one set of laws."""
     rng = np.random.default_rng(1)

@@ -71,6 +71,7 @@ def test_who_sits_is_in_balance(planner, seat):
     np.testing.assert_allclose(lean(q[0]), [16.0, 96.0, 4.0], atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("movement", ["rise", "squat"])
 def test_what_bears_a_plan_moves_its_centre_of_mass(movement, request):
     """The sum of all forces is m (a + g), its moment the work of torques."""

@@ -84,6 +84,7 @@ def test_what_is_recorded_is_near_the_plan(truth, dipped):
     assert np.abs(trial.moments[:, 3:]).max() > 3.0
 
 
+@pytest.mark.slow
 def test_at_rest_nothing_is_left_over(truth):
     """A small step of any free coordinate costs, none drives."""
     planner = Planner(truth.model.rigid.tree, truth.contact)

@@ -399,6 +399,7 @@ def written_study(tmp_path, active, files="c3d", **faults):
     return made, yaml.safe_load(path.read_text())
 
 
+@pytest.mark.slow
 def test_the_study_tells_what_a_laboratory_knows(tmp_path):
     made, study = written_study(
         tmp_path,

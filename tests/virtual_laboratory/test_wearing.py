@@ -165,6 +165,7 @@ def test_a_campaign_without_a_cuff_has_no_mats_of_it(tmp_path):
     assert np.abs(trial.cuffs["thigh"].normal).max() > 5.0
 
 
+@pytest.mark.slow
 def test_the_study_says_where_cuffs_are_built(tmp_path):
     """By what the person's own are moved; a preload moves the device alone."""
     thigh = CuffDesign(along_m=0.03, across_m=-0.01, preload_along_m=0.02)
