@@ -14,6 +14,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import cycle, pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -307,20 +308,6 @@ def moments_figure(runs: Runs, trials: Sequence[Trial]) -> Figure:
     return _drawn(runs, trials, rows, height=1.35)
 
 
-@dataclass(frozen=True)
-class _Cycle:
-    """A trial with its times in percent of a foot's cycle."""
-
-    trial: Trial
-    start_s: float
-    end_s: float
-
-    @property
-    def times(self) -> np.ndarray:
-        share = self.trial.times - self.start_s
-        return 100.0 * share / (self.end_s - self.start_s)
-
-
 def _cycles(trials: Sequence[Trial]) -> list[tuple]:
     """(number of the trial, side, heel strike, the next of that foot [s])."""
     found = []
@@ -331,31 +318,27 @@ def _cycles(trials: Sequence[Trial]) -> list[tuple]:
     return found
 
 
+def _in_percent(start: float, end: float, times: np.ndarray) -> np.ndarray:
+    return 100.0 * (times - start) / (end - start)
+
+
 def _gait_figure(runs: Runs, trials: Sequence[Trial], cycles) -> Figure:
     """Angles and ground reaction of each leg over each of its cycles."""
     rows = _joint_rows(trials[0], *_JOINTS[0]) + _ground_rows(trials[0])
+    rows = [row for row in rows if "CoP" not in row[0]]
     sides = sorted({side for _, side, *_ in cycles})
-    of = {
-        side: [
-            (label, *(lambda c, s=s: s(c.trial) for s in signals))
-            for label, *signals in _of_side(rows, side)
-            if "CoP" not in label
-        ]
-        for side in sides
-    }
+    of = {side: _of_side(rows, side) for side in sides}
     count = max(map(len, of.values()))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(6.0, 1.5 * count + 0.6))
         axes = figure.subplots(
             count, len(sides), sharex=True, sharey="row", squeeze=False
         )
-        for k, side, *at in cycles:
-            found = {
-                name: run[k] and _Cycle(run[k], *at)
-                for name, run in runs.items()
-            }
+        for k, side, start, end in cycles:
+            found = {name: run[k] for name, run in runs.items()}
             column = axes[:, sides.index(side)]
-            _fill(column, found, _Cycle(trials[k], *at), of[side])
+            percent = partial(_in_percent, start, end)
+            _fill(column, found, trials[k], of[side], percent)
         axes[0, 0].set_xlim(0.0, 100.0)
         _finish(figure, axes, "gait cycle [%]")
     return figure
@@ -435,9 +418,9 @@ def _drawn(runs, trials, rows, height=1.9, bands=()) -> Figure:
 def _of_side(rows: list[tuple], side: str) -> list[tuple]:
     """Those of some rows that are of one leg."""
     return [
-        (label, *signals)
-        for label, *signals in rows
-        if label.startswith(f"{side} ") or f"_{side} " in label
+        row
+        for row in rows
+        if row[0].startswith(f"{side} ") or f"_{side} " in row[0]
     ]
 
 
@@ -453,8 +436,17 @@ def _wrapped(name: str, width: float) -> str:
     return lines.replace("_ ", "_").replace("\u00a0", " ")
 
 
-def _fill(axes, found: dict[str, Trial | None], trial: Trial, rows) -> None:
-    """Draw the panels of one trial: as measured, and by each run."""
+def _fill(
+    axes,
+    found: dict[str, Trial | None],
+    trial: Trial,
+    rows,
+    at: Callable[[np.ndarray], np.ndarray] = np.asarray,
+) -> None:
+    """Draw the panels of one trial: as measured, and by each run.
+
+    `at` gives the places of times on the axis.
+    """
     looks = [("measured", trial, _MEASURED, _MEASURED_DEVICE)]
     for k, (name, solved) in enumerate(found.items()):
         if solved is None:
@@ -474,7 +466,7 @@ def _fill(axes, found: dict[str, Trial | None], trial: Trial, rows) -> None:
                 signals, names, styles, strict=False
             ):
                 if (values := signal(moved)) is not None:
-                    ax.plot(moved.times, values, label=name, **style)
+                    ax.plot(at(moved.times), values, label=name, **style)
         ax.set_ylabel(label)
 
 
