@@ -109,8 +109,9 @@ class PhaseResult:
     def trials(self) -> list[Trial]:
         """The solution of each trial."""
         problem = self.problem
+        source = "solved" if self.success else "not solved"
         return [
-            problem.read(movement, trial, self.values)
+            problem.read(movement, trial, self.values, source)
             for movement, trial in zip(
                 problem.movements, problem.trials, strict=True
             )
@@ -661,13 +662,14 @@ class PhaseProblem(Compiles, ABC):
             for p, value in zip(self.parameters, found, strict=True)
         ]
 
-    def read(self, movement: TrialProgram, trial: Trial, x) -> Trial:
+    def read(self, movement: TrialProgram, trial: Trial, x, source) -> Trial:
         """A trial's solution, with chair and applied loads as measured.
 
         Args:
             movement: the trial's variables.
             trial: the measured trial.
             x: all program variables.
+            source: of the trial that is returned.
         """
 
         def read(variables):
@@ -692,7 +694,7 @@ class PhaseProblem(Compiles, ABC):
             read(grid.v),
             read(grid.a),
             sum(feet.values(), zero),
-            source="solved",
+            source=source,
             feet=feet if self.model.assembly.human.sides else {},
             moments=read(movement.torque),
             cuffs={

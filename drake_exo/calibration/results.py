@@ -23,7 +23,15 @@ from drake_exo.contact.parameters import (
 from drake_exo.errors import InputError, path_of
 from drake_exo.files import schema
 from drake_exo.files.opensim import write_table
-from drake_exo.files.output import HOLDS, Check, Verdict, checksum, write_json
+from drake_exo.files.output import (
+    HOLDS,
+    SOLVED,
+    Check,
+    Verdict,
+    checksum,
+    is_accepted,
+    write_json,
+)
 from drake_exo.files.tables import Table
 from drake_exo.measurement.sagittal import external_loads
 from drake_exo.measurement.trial import Trial
@@ -490,7 +498,12 @@ def write_bands(
 _SOURCES = ("solution", "measured", "uncalibrated", "before", "after")
 
 
-def read_trial(folder: Path, name: str, source: str = "solution") -> Trial:
+def read_trial(
+    folder: str | Path,
+    name: str,
+    source: str = "solution",
+    accept: Sequence[str] = (),
+) -> Trial:
     """Read what `write_trial` wrote, or the measured trial beside it.
 
     Args:
@@ -498,9 +511,11 @@ def read_trial(folder: Path, name: str, source: str = "solution") -> Trial:
         name: name of the trial.
         source: "solution" or "measured"; for a prediction "uncalibrated" (with
             nominal cuffs); for a design "before" or "after".
+        accept: ["solved"] reads where a solve that failed stopped, too.
 
     Raises:
-        InputError: the file is missing or damaged, or there is no such source.
+        InputError: the file is missing or damaged, there is no such source, or
+            the trial was not solved and that is not accepted.
 
     >>> import tempfile
     >>> from drake_exo.virtual_laboratory import synthetic
@@ -514,4 +529,10 @@ def read_trial(folder: Path, name: str, source: str = "solution") -> Trial:
         raise InputError(
             f"source is {source!r}; give one of {', '.join(_SOURCES)}"
         )
-    return Trial.load(path_of(folder, "folder") / f"{source}_{name}")
+    found = Trial.load(path_of(folder, "folder") / f"{source}_{name}")
+    if found.source == "not solved" and not is_accepted(SOLVED, accept):
+        raise InputError(
+            f"{folder}: trial {name} was not solved; see summary.json, and "
+            f"solve it again, or read it all the same with accept=['{SOLVED}']"
+        )
+    return found

@@ -15,7 +15,7 @@ from drake_exo.measurement.sagittal import PlanarWrench, fixed
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.plant import Model
 
-Source = Literal["measured", "solved", "simulated"]
+Source = Literal["measured", "solved", "not solved", "simulated"]
 _OUTSIDE_S = 1e-6  # rounding of a trial's end
 
 
@@ -87,7 +87,8 @@ class Trial:
         q, v, a: (n, nq) positions [m, rad] and their time derivatives.
         ground: wrench (n,) of the ground on both feet.
         feet: side -> that foot's part of `ground`; empty in models of one leg.
-        source: "measured", "solved" or "simulated".
+        source: "measured", "solved", "not solved" (where a solve that
+            failed stopped) or "simulated".
         moments: (n, n_joints) joint moments [N m]; the human's are those of
             the muscles: without the exoskeleton's, see `with_moments`. None
             where not known.

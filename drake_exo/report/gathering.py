@@ -94,7 +94,7 @@ class Results:
         """Every scored trial, as computed and as measured."""
         return [
             (
-                read_trial(self.folder, row["trial"]),
+                read_trial(self.folder, row["trial"], accept=[SOLVED]),
                 read_trial(self.folder, row["trial"], "measured"),
             )
             for row in self.summary["rmsd"]
@@ -471,8 +471,11 @@ def compare(folders: Sequence[str | Path]) -> Comparison:
             "common; compare results of the same trials"
         )
     runs, measured = (
-        [[read_trial(r.folder, n, *source) for n in common] for r in results]
-        for source in ((), ("measured",))
+        [
+            [read_trial(r.folder, n, source, [SOLVED]) for n in common]
+            for r in results
+        ]
+        for source in ("solution", "measured")
     )
     for r, (trial, *_) in zip(results, runs, strict=True):
         if trial.coordinates.names != runs[0][0].coordinates.names:

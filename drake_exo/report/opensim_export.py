@@ -29,7 +29,7 @@ from drake_exo.errors import InputError
 from drake_exo.files import osim as xml
 from drake_exo.files.opensim import write_table
 from drake_exo.files.osim import OsimModel, Pose, read_osim
-from drake_exo.files.output import Verdict, read_json, stored
+from drake_exo.files.output import SOLVED, Verdict, read_json, stored
 from drake_exo.files.tables import Table
 from drake_exo.measurement.sagittal import external_loads
 from drake_exo.measurement.trial import Trial
@@ -464,7 +464,7 @@ def export_opensim(
             "choose another file"
         )
     trials = [
-        read_trial(folder, path.stem.removeprefix("solution_"))
+        read_trial(folder, path.stem.removeprefix("solution_"), accept=[SOLVED])
         for path in sorted(folder.glob("solution_*.npz"))
     ]
     names = [

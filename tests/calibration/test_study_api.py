@@ -225,7 +225,7 @@ def test_without_a_device_there_is_no_interaction():
         dx.calibrate_interaction(dx.Study(model, trials))
 
 
-def test_a_failed_solve_is_sealed_until_it_is_unsealed(study, made):
+def test_a_failed_solve_is_sealed_until_it_is_unsealed(study, made, tmp_path):
     settings = dx.PredictionSettings(
         torque_limit_nm=1.0, solver=dx.settings.Solver(40.0, max_iterations=3)
     )
@@ -244,6 +244,13 @@ def test_a_failed_solve_is_sealed_until_it_is_unsealed(study, made):
         found.write("nowhere")
     found.solution.unseal()
     assert found.coordinate("hip").shape == found.times.shape
+    assert found.source == "not solved"
+    found.write(tmp_path)
+    with pytest.raises(dx.InputError, match="rise1 was not solved"):
+        dx.read_trial(tmp_path, "rise1")
+    back = dx.read_trial(tmp_path, "rise1", accept=["solved"])
+    np.testing.assert_array_equal(back.q, found.q)
+    assert dx.read_trial(tmp_path, "rise1", "measured").source != "not solved"
 
 
 def test_cuffs_do_not_go_on_from_a_failed_foot(made):
