@@ -91,6 +91,11 @@ def test_data_root_must_be_a_folder(tmp_path):
             "radius_m: lower bound is 1e-05, but must be at least 0.001 m",
         ),
         (
+            "x_m: {below: 0.08,",
+            "x_m: {shift: -0.1, below: 0.08,",
+            "foot_ground.heel.x_m: shift is -0.1 m, but its bounds are below",
+        ),
+        (
             "\nfoot_ground:",
             "\ninteraction: {thigh: {normal_n_m: {nominal: 0, lower: 0, "
             "upper: 9}}}\nfoot_ground:",

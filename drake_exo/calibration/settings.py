@@ -121,6 +121,13 @@ class Spread:
     shift: float = quantity("m", 0.0)
     free: bool = True
 
+    def __post_init__(self):
+        if not -self.below <= self.shift <= self.above:
+            raise InputError(
+                f"shift is {self.shift:g} m, but its bounds are below and "
+                f"above: {-self.below:g} to {self.above:g} m; correct one"
+            )
+
 
 @dataclass(frozen=True)
 class SphereSettings:
