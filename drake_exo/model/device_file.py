@@ -405,6 +405,10 @@ def _owner(device: DeviceFile, text: str) -> tuple[ET.Element, ET.Element]:
             f"{device.name}: holds no <robot> and no <model>, or models in "
             "one; give the URDF or SDF of one device"
         )
+    if not owner.get("name"):  # by which Drake would end the process
+        raise InputError(
+            f"{device.name}: its <{owner.tag}> has no name; give it one"
+        )
     return root, owner
 
 

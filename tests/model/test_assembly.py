@@ -603,6 +603,7 @@ def test_toes_go_up():
         ),
         ([("</robot>", "")], "is not XML"),
         ([("<robot", "<car"), ("</robot", "</car")], "holds no <robot>"),
+        ([('<robot name="ankle_only"', '<robot name=""')], "has no name; give"),
         (
             [
                 (
