@@ -181,6 +181,12 @@ class Trial:
             check_bounds(f"trial {self.name}: mass_kg", self.mass_kg, bounds)
         share, bounds = self.chair_on_thighs, {"minimum": 0.0, "maximum": 1.0}
         check_bounds(f"trial {self.name}: chair_on_thighs", share, bounds)
+        for key in ("delays_s", "shifted_s"):
+            lags = self.provenance.get(key, {})
+            where = f"trial {self.name}: provenance.{key}"
+            check_type(lags, dict, where)
+            for clock, lag in lags.items():
+                check_bounds(f"{where}.{clock}", lag, {"unit": "s"})
         columns = {
             **dict.fromkeys(("q", "v", "a", "jerk"), len(self.coordinates)),
             "moments": self.coordinates.num_joints,

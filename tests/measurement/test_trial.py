@@ -274,6 +274,11 @@ def test_shapes_are_checked(trial, changes, words):
         # More than the whole chair would act on the thighs.
         ({"chair_on_thighs": 2.0}, "chair_on_thighs is 2, but must be at most"),
         ({"source": "mine"}, "source is 'mine'; give one of measured, solved"),
+        ({"provenance": {"delays_s": 0.1}}, "delays_s is 0.1; give a dict"),
+        (
+            {"provenance": {"shifted_s": {"encoders": None}}},
+            "provenance.shifted_s.encoders must be a number",
+        ),
         ({"mass_kg": "70"}, "mass_kg must be a number"),
         ({"times": np.linspace(1.0, 0.0, 51)}, "times do not increase"),
         ({"times": np.full(51, np.nan)}, "times do not increase"),
