@@ -22,7 +22,7 @@ from drake_exo.soles.loads import (
     text_lines,
 )
 from drake_exo.soles.numerics import without_yaw
-from drake_exo.soles.walking_pattern import Robot
+from drake_exo.soles.walking_pattern import Robot, gravity
 
 Vector3 = tuple[float, float, float]
 Vector2 = tuple[float, float]
@@ -52,7 +52,14 @@ class OneFoot:
                 "line of names before them"
             )
         table = numbers_of(path, lines, 2, 8)
-        table = table[self.skip_first : len(table) - self.skip_last]
+        rows = len(table) - self.skip_first - self.skip_last
+        if rows < 1:
+            raise InputError(
+                f"{path}: skip_first {self.skip_first} and skip_last "
+                f"{self.skip_last} leave none of its {len(table)} rows; give "
+                "smaller ones"
+            )
+        table = table[self.skip_first :][:rows]
         t, zmp, force = table[:, 0], table[:, 1:3], table[:, 5:8]
         return Load(t, force, zmp, str(path)).placed(self.origin_m, 0.0)
 
@@ -140,7 +147,7 @@ class Playback:
     step: int
     mass_kg: float = positive("kg", 43.0)
     period_s: float = positive("s", 0.005)
-    gravity_m_per_s2: float = positive("m/s²", 9.81)
+    gravity_m_per_s2: float = gravity()
     ankle_to_centre_m: Vector2 = (0.015, 0.011)
     least_force_n: float = positive("N", COP_THRESHOLD_N)
 

@@ -396,9 +396,10 @@ class Load:
                 f"{len(outside)} samples{unit}); the middle of its path lies "
                 f"{abs(500 * off[0]):.0f} mm {front} and "
                 f"{abs(500 * off[1]):.0f} mm to the {left} of the sole's: move "
-                "the load (origin_m and yaw_rad; in a recording shift_m) or "
-                "the block start, take a larger sole, or leave these samples "
-                "out (least_force_n, from, to; in a pattern least_share)"
+                "the load (by its origin_m and yaw_rad, shift_m, "
+                "ankle_to_centre_m, zmp_m or the pattern's bounds) or the "
+                "block start, take a larger sole, or leave these samples out "
+                "(least_force_n, from, to; in a pattern least_share)"
             )
 
 
@@ -429,10 +430,14 @@ def read_csv(path) -> Load:
     used = (*CSV_COLUMNS, "free_moment_nm", "load", "weight")
     table = read_columns(path, CSV_COLUMNS, used)
     for name in table:
-        if name.startswith("free_moment") and name not in used:
+        meant = name.lower()
+        if meant.startswith("free_moment"):
+            meant = "free_moment_nm"
+        if meant in used and name not in used:
+            unit = ", in N·m" if meant == "free_moment_nm" else ""
             raise InputError(
                 f"{path}:1: column {shown(name)!r} would not be read; name it "
-                "free_moment_nm, in N·m"
+                f"{meant}{unit}"
             )
     t, fx, fy, fz, zx, zy = (table[name] for name in CSV_COLUMNS)
     begins, weights = np.zeros(1, int), np.ones(1)

@@ -133,7 +133,9 @@ class StartBlock:
     """How the sole is held just before the first contact."""
 
     point_in_sole_m: Vector3 | None = None
-    point_in_world_m: Vector2 | None = None
+    point_in_world_m: Vector2 | None = quantity(
+        "m", None, minimum=-100.0, maximum=100.0
+    )
     yaw_rad: float = angle()
 
 
@@ -253,16 +255,17 @@ class ShapeBlock:
 class OptimizeBlock:
     """Shape parametrisation, limits and stages of an optimisation."""
 
-    intervals: tuple[int, int] = (10, 10)
+    # Finer ones than any mesh would only take memory.
+    intervals: tuple[int, int] = quantity(None, (10, 10), minimum=1, maximum=50)
     fixed_top: bool = False
     bounds: Vector2 = (0.3, 1.4)
     stability_n_per_m: float | None = positive("N/m", 1000.0)
     tilt_deg: float | None = quantity("°", 20.0, above=0.0, maximum=90.0)
     strain: float | None = quantity("", 0.3, above=0.0, maximum=2.0)
-    c_rot_nm_per_rad: float | None = positive("N·m/rad")
+    c_rot_nm_per_rad: float | None = quantity("N·m/rad", None, minimum=1e-3)
     roughness: float = not_negative("", 1.0)
     tolerance: float = positive("", 1e-4)
-    starts: int = quantity(None, 3, minimum=1)
+    starts: int = quantity(None, 3, minimum=1, maximum=1000)
     stages: tuple[Stage, ...] | None = None
     shape: ShapeBlock = ShapeBlock()
 

@@ -9,7 +9,7 @@ used (y to the left). `Gait` gives a search walks to choose from.
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -28,6 +28,16 @@ _LEFT = 1e-10  # residual (of 1) below which no ZMP keeps inside its bounds
 _HOLD = 1e2  # weight [1/s²] of keeping the feet's own ZMPs to parabolas
 _SIDES = "back_m", "outer_m", "front_m", "inner_m"
 _INSIDE = 0.015  # metres that the ZMP stays inside a sole's outline
+
+
+def gravity() -> Any:
+    """A settings field for gravity, of the moon as well [m/s²]."""
+    return quantity("m/s²", 9.81, minimum=0.1, maximum=100.0)
+
+
+def _place(default: Any) -> Any:
+    """A settings field for places in a sole's frame, which are no mm."""
+    return quantity("m", default, minimum=-2.0, maximum=2.0)
 
 
 @dataclass(frozen=True)
@@ -52,20 +62,20 @@ class Robot:
     """
 
     mass_kg: float = quantity("kg", 80.0, minimum=0.5)
-    com_height_m: float = quantity("m", 0.8085, above=0.0, maximum=3.0)
+    com_height_m: float = quantity("m", 0.8085, minimum=0.01, maximum=3.0)
     step_length_m: float = quantity("m", 0.2633, above=0.0, maximum=3.0)
     step_width_m: float = quantity("m", 0.162, above=0.0, maximum=3.0)
     step_time_s: float = quantity("s", 1.0, above=0.0, maximum=20.0)
     double_support_s: float = positive("s", 0.195)
-    back_m: float | None = None
-    front_m: float | None = None
-    inner_m: float | None = None
-    outer_m: float | None = None
-    ankle_m: tuple[float, float] = (-0.017, 0.011)
+    back_m: float | None = _place(None)
+    front_m: float | None = _place(None)
+    inner_m: float | None = _place(None)
+    outer_m: float | None = _place(None)
+    ankle_m: tuple[float, float] = _place((-0.017, 0.011))
     torque_weight: float = not_negative("", 0.6)
-    gravity_m_per_s2: float = positive("m/s²", 9.81)
+    gravity_m_per_s2: float = gravity()
     period_s: float = quantity("s", 0.005, minimum=1e-4)
-    first_s: float = not_negative("s", 0.0)
+    first_s: float = quantity("s", 0.0, minimum=0.0, maximum=40.0)
     least_share: float = quantity(None, 0.13, above=0.0, below=1.0)
     free: tuple[
         Literal["step_length", "step_time", "double_support", "zmp"], ...
@@ -190,6 +200,12 @@ class Pattern:
         first, last = other.bearing
         t = np.arange(robot.first_s, last + 1e-9, robot.period_s)
         t = t[t >= first]
+        if len(t) == 0:
+            raise InputError(
+                f"pattern: no sample lies between {first:.3g} and {last:.3g} s "
+                "after landing, where the foot bears least_share of the "
+                "weight; give a smaller period_s or first_s"
+            )
         if like is not None:
             begin, end = robot.bearing
             t = begin + (t - first) * (end - begin) / (last - first)

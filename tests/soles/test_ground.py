@@ -287,6 +287,7 @@ CASE = EXAMPLE + "ground: {heights: ground.csv}\n"
     [
         (_points()[:-1], "not a grid of 9 x 9"),
         (_points() + _points()[:1], "82 points are not a grid"),
+        (_points()[1:] + _points()[1:2], "81 points are not a grid"),
         (_points(count=3), "too small; give at least 4 x 4"),
         (_points(lambda x, y: 1000 * x * y), "give heights in metres"),
         (_points(x=(-0.1, 0.1)), "give heights below all of it"),

@@ -1,6 +1,7 @@
 """What is asked for in vain is refused, and what is the user's stays so."""
 
 import json
+import tracemalloc
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -15,7 +16,7 @@ from drake_exo.cli import sole as command
 from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.soles.contact.law import Ground
-from drake_exo.soles.load_blocks import Constant
+from drake_exo.soles.load_blocks import Constant, OneFoot
 from drake_exo.soles.loads import read_csv
 from drake_exo.soles.mesh import brick, read_mesh
 from drake_exo.soles.optimize.problem import ShapeProblem
@@ -24,6 +25,7 @@ from drake_exo.soles.settings import (
     MeshBlock,
     OptimizeBlock,
     ShapeBlock,
+    StartBlock,
 )
 from drake_exo.soles.walking_pattern import Robot
 
@@ -43,6 +45,9 @@ def case(tmp_path):
     [
         ("force_z_n", "9", "two columns are named 'force_z_n'"),
         ("free_moment", "1", "'free_moment' would not be read; name it"),
+        ("Free_Moment_Nm", "1", "name it free_moment_nm, in N·m"),
+        ("Load", "0 1", "'Load' would not be read; name it load$"),
+        ("load,WEIGHT", "0,1 1,2", "'WEIGHT' would not be read; name it"),
         ("load,weight", "1,1 0,1", "'load' has to count from 0 on"),
         ("load,weight", "0,1 1,1 0,1", "'load' has to count from 0 on"),
         ("load,weight", "0,1 1,0", "'weight' has to be above 0"),
@@ -145,6 +150,36 @@ def test_parts_of_another_type_in_python():
             dx.soles.pareto_front(case, floors)
 
 
+@pytest.mark.parametrize("skipped", [(4, 0), (1, 3), (0, 6)])
+def test_rows_that_are_all_left_out(tmp_path, skipped):
+    """More than there are would be counted from the other end."""
+    rows = [f"{k} 0 0 0 0 0 0 300" for k in range(4)]
+    (tmp_path / "step.txt").write_text("\n".join(["names", *rows]))
+    file = OneFoot("step.txt", (0.0, 0.0), *skipped)
+    with pytest.raises(InputError, match="leave none of its 4 rows"):
+        file.load(tmp_path)
+    file = OneFoot("step.txt", (0.0, 0.0), 1, 2)
+    assert file.load(tmp_path).times.tolist() == [1.0]
+
+
+def test_a_pattern_without_samples():
+    for robot in (Robot(first_s=9.0), Robot(period_s=9.0)):
+        with pytest.raises(InputError, match="smaller period_s or first_s"):
+            robot.load()
+
+
+def test_a_cloud_of_points_is_no_ground():
+    """Refused before the grid of all its lines, here of 72 MB, is made."""
+    x = 1e-4 * np.arange(3000)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match="3000 points are not a grid"):
+            Ground.of_table({"x_m": x, "y_m": x, "z_m": 0.0 * x}, "g.csv")
+        assert tracemalloc.get_traced_memory()[1] < 10e6
+    finally:
+        tracemalloc.stop()
+
+
 def test_ground_in_millimetres():
     x, y = (v.ravel() for v in np.meshgrid(*[50.0 * np.arange(5)] * 2))
     table = {"x_m": x, "y_m": y, "z_m": 0.0 * x}
@@ -171,8 +206,23 @@ def test_lengths_and_keys_of_a_case():
         ("step_length_m: 200", Robot),
         ("step_width_m: 162", Robot),
         ("friction: 80", ContactBlock),
+        ("ankle_m: [0, 11]", Robot),
+        ("front_m: 100", Robot),
+        ("first_s: 900", Robot),
+        ("gravity_m_per_s2: 9810", Robot),
+        ("intervals: [10, 1_000]", OptimizeBlock),
+        ("starts: 1000000", OptimizeBlock),
+        ("point_in_world_m: [115, 0]", StartBlock),
     ):
         with pytest.raises(InputError, match="but must be at most"):
+            schema.load_text(text, block)
+    for text, block in (
+        ("com_height_m: 1.0e-9", Robot),
+        ("gravity_m_per_s2: 1.0e-9", Robot),
+        ("intervals: [0, 9]", OptimizeBlock),
+        ("c_rot_nm_per_rad: 1.0e-9", OptimizeBlock),
+    ):
+        with pytest.raises(InputError, match="but must be at least"):
             schema.load_text(text, block)
     with pytest.raises(InputError, match="tilt_deg is 100, but must be"):
         schema.load_text("tilt_deg: 100", OptimizeBlock)

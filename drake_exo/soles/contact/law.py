@@ -175,13 +175,15 @@ class Ground:
             np.unique(np.round(v, 9), return_inverse=True) for v in (x, y)
         )
         count = len(lines_x), len(lines_y)
-        heights = np.full(count, np.nan)
-        heights[i, j] = z
-        if len(z) != heights.size or np.isnan(heights).any():
+        cells = np.unique(i * count[1] + j)
+        # A cloud of points would be a grid too large for any memory.
+        if not len(z) == len(cells) == count[0] * count[1]:
             raise InputError(
                 f"{name}: {len(z)} points are not a grid of {count[0]} x "
                 f"{count[1]}; give one row for every x with every y"
             )
+        heights = np.empty(count)
+        heights[i, j] = z
         if min(count) < _LEAST:
             raise InputError(
                 f"{name}: a grid of {count[0]} x {count[1]} points is too "
