@@ -409,8 +409,8 @@ def read_mesh(
 
     Raises:
         InputError: Unreadable file, no tetrahedra, inverted or unconnected
-            elements, no Dirichlet surface, not in metres, not long along x,
-            or a top that needs an origin.
+            elements, nothing glued to the foot, not in metres, not long along
+            x, or a top that needs an origin.
     """
     path = Path(path)
     remedy = "give Gmsh .msh, .vtk, .vtu or another format known to meshio"
@@ -419,11 +419,17 @@ def read_mesh(
         raise InputError(
             f"{path}: no linear tetrahedra in this mesh; export 4-node tets"
         )
+    fixed = np.ravel(said.get(_FIXED, []))
+    is_told = len(fixed) > 0  # a file of `write_vtk`
+    if is_told and len(fixed) != len(nodes):
+        raise InputError(
+            f"{path}: point data {_FIXED!r} holds {len(fixed)} numbers for "
+            f"{len(nodes)} nodes; give one for each, 1 where it is glued to "
+            "the foot"
+        )
     used, tets = np.unique(tets, return_inverse=True)
     nodes, tets = nodes[used], tets.reshape(-1, 4)
     extent = np.ptp(nodes, axis=0).max()
-    fixed = np.ravel(said.get(_FIXED, []))
-    is_told = len(fixed) > used.max()  # a file of `write_vtk`
     if is_told:
         top = np.flatnonzero(fixed[used] > 0)
     else:
@@ -548,15 +554,17 @@ def check_mesh(mesh: TetMesh, name: str) -> None:
         )
     if len(mesh.top_faces) == 0:
         raise InputError(
-            f"{name}: no Dirichlet surface, since no face lies in the top "
-            "plane (highest z); turn the mesh so that the flat surface glued "
-            "to the foot is on top, or give mesh.top_m of a rough surface"
+            f"{name}: no face is glued to the foot, since none lies in the "
+            "top plane (highest z), or has three nodes with 1 in point data "
+            f"{_FIXED!r}; turn the mesh so that its flat top is highest, or "
+            "mark the nodes glued to the foot"
         )
     below = nodes[mesh.contact, :2]
     if np.linalg.matrix_rank(below - below[:1], 1e-9) < 2:
         raise InputError(
             f"{name}: the nodes of faces that look downwards lie in a line; "
-            "give a sole that has an underside"
+            "give a sole that has an underside, free of nodes glued to the "
+            "foot"
         )
 
 

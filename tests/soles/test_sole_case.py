@@ -175,7 +175,7 @@ def test_bad_mesh_is_exit_code_2(folder, capsys, fault):
     meshio.Mesh(nodes, [("tetra", tets)]).write(path)
     assert _run(folder, "--mesh", str(path)) == 2
     words = {"inverted": "inverted", "unconnected": "unconnected",
-             "no top": "no Dirichlet surface"}  # fmt: skip
+             "no top": "no face is glued to the foot"}  # fmt: skip
     assert words[fault] in capsys.readouterr().err
 
 

@@ -149,8 +149,22 @@ def test_a_mesh_without_flat_top_is_refused(tmp_path):
     c, s = np.cos(0.2), np.sin(0.2)
     turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
     meshio.Mesh(mesh.nodes @ turn.T, [("tetra", mesh.tets)]).write(path)
-    with pytest.raises(InputError, match="no Dirichlet surface"):
+    with pytest.raises(InputError, match="no face is glued to the foot"):
         read_mesh(path)
+
+
+def test_marks_of_glued_nodes_are_one_a_node(tmp_path):
+    """Not three as of displacements: they would be of other nodes."""
+    mesh = brick(SIZE, (2, 2, 2))
+    given, path = [("tetra", mesh.tets)], tmp_path / "sole.vtk"
+    for marks, words in (
+        (np.ones_like(mesh.nodes), "81 numbers for 27 nodes"),
+        (np.zeros(27), "no face is glued to the foot"),
+        (np.ones(27), "an underside, free of nodes glued to the foot"),
+    ):
+        meshio.Mesh(mesh.nodes, given, {"fixed": marks}).write(path)
+        with pytest.raises(InputError, match=words):
+            read_mesh(path)
 
 
 def test_a_mesh_that_is_long_along_y_is_refused_as_a_surface_is(tmp_path):
