@@ -110,6 +110,7 @@ _GRADATION = 1.3  # largest ratio of neighbouring elements' sizes
 _FILL = 36.0  # tetrahedra that Mmg makes in the cube of an element's edge
 _SHARP = 0.77  # cosine between the normals beside a sharp edge: 40 degrees
 _PATCH = 4.0  # least area of a patch, in squares of a typical size
+_LEAST_VOLUME = 1e-9  # over the cube of the longest side
 _SAME_VOLUME = 0.05  # largest error of a mesh's volume
 _SAMPLES = 20_000  # points of a surface at which it is compared with a mesh
 _LEVEL = 0.02  # typical sizes that Mmg may leave nodes off a flat top
@@ -152,7 +153,12 @@ def read_surface(path: Path | str, unit: Unit | None = None) -> Surface:
     if np.linalg.det(nodes[faces]).sum() < 0:
         faces = faces[:, ::-1]
     nodes, faces = _parted(path, nodes, faces)
-    return Surface(_united(path, nodes, faces), str(path))
+    surface = Surface(_united(path, nodes, faces), str(path))
+    if not surface.volume > _LEAST_VOLUME * np.ptp(nodes, axis=0).max() ** 3:
+        raise InputError(
+            f"{path}: encloses no volume; export a solid, not a sheet"
+        )
+    return surface
 
 
 def _scale(path, longest: float, unit: Unit | None) -> float:
@@ -212,7 +218,7 @@ def _parted(path, nodes, faces) -> tuple[np.ndarray, np.ndarray]:
             f"{path}: neighbouring triangles are turned against each other; "
             "make their normals consistent"
         )
-    if count.max() == 2:
+    if count.max(initial=2) == 2:
         return nodes, faces
     groups = np.split(np.lexsort((~forth, which)), np.cumsum(count)[:-1])
     pairs = [group for group in groups if len(group) == 2]

@@ -91,6 +91,14 @@ def test_a_surface_that_is_none_is_named(tmp_path, fault, sentence):
         read_surface(path)
 
 
+@pytest.mark.parametrize("scale", [(1, 1, 0), (1, 0, 0), (1, 1, 1e-6)])
+def test_a_sheet_is_no_sole(tmp_path, scale):
+    path = tmp_path / "sheet.obj"
+    _obj(path, _brick_surface() * scale)
+    with pytest.raises(InputError, match="no volume; export a solid"):
+        read_surface(path)
+
+
 def test_nearest_points_of_a_sphere():
     """Against the radius: the sphere's triangles are close to it."""
     u, v = np.meshgrid(np.linspace(0, np.pi, 60), np.linspace(0, 2 * np.pi, 90))
