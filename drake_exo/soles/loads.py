@@ -397,9 +397,10 @@ class Load:
                 f"{abs(500 * off[0]):.0f} mm {front} and "
                 f"{abs(500 * off[1]):.0f} mm to the {left} of the sole's: move "
                 "the load (by its origin_m and yaw_rad, shift_m, "
-                "ankle_to_centre_m, zmp_m or the pattern's bounds) or the "
-                "block start, take a larger sole, or leave these samples out "
-                "(least_force_n, from, to; in a pattern least_share)"
+                "ankle_to_centre_m, zmp_m or the pattern's bounds), the sole's "
+                "frame (mesh.origin_m) or the block start, take a larger sole, "
+                "or leave these samples out (least_force_n, from, to; in a "
+                "pattern least_share)"
             )
 
 

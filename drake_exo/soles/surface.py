@@ -312,6 +312,11 @@ def sole_from_surface(
         origin = _guess_origin(surface.corners[top].reshape(-1, 3), extent)
     corners = surface.corners - np.asarray(origin)
     thickness = _Thickness(corners)
+    if not thickness.values.any():
+        raise InputError(
+            f"{surface.name}: is nowhere {1e3 * thickness.step:.2g} mm wide, "
+            "too narrow for a sole; draw it wider"
+        )
     try:
         nodes, cells = _meshed(thickness, top, top_m is None, tets)
     except MmgError as error:

@@ -99,6 +99,13 @@ def test_a_sheet_is_no_sole(tmp_path, scale):
         read_surface(path)
 
 
+def test_a_surface_too_narrow_for_a_sole(tmp_path):
+    path = tmp_path / "blade.obj"
+    _obj(path, _brick_surface() * (1, 0.001, 1))
+    with pytest.raises(InputError, match=r"nowhere 1\.7 mm wide, too narrow"):
+        sole_from_surface(read_surface(path))
+
+
 def test_nearest_points_of_a_sphere():
     """Against the radius: the sphere's triangles are close to it."""
     u, v = np.meshgrid(np.linspace(0, np.pi, 60), np.linspace(0, 2 * np.pi, 90))
