@@ -330,9 +330,9 @@ def sole_from_surface(
     if abs(mesh.volume - enclosed) > _SAME_VOLUME * enclosed:
         raise InputError(
             f"{surface.name}: encloses {1e6 * enclosed:.1f} cm³, of which "
-            f"{1e6 * mesh.volume:.1f} cm³ were meshed: it overlaps itself or "
-            "has parts that lie apart; mend it where it was drawn, or give "
-            "more mesh.tets"
+            f"{1e6 * mesh.volume:.1f} cm³ were meshed: it overlaps itself, "
+            "has parts that lie apart, or walls thinner than an element; "
+            "mend it where it was drawn, or give more mesh.tets"
         )
     return replace(mesh, lost=_lost(corners, mesh))
 
