@@ -314,8 +314,9 @@ def sole_from_surface(
     thickness = _Thickness(corners)
     if not thickness.values.any():
         raise InputError(
-            f"{surface.name}: is nowhere {1e3 * thickness.step:.2g} mm wide, "
-            "too narrow for a sole; draw it wider"
+            f"{surface.name}: encloses nothing that is "
+            f"{1e3 * thickness.step:.2g} mm wide, too narrow for a sole; draw "
+            "it wider"
         )
     try:
         nodes, cells = _meshed(thickness, top, top_m is None, tets)

@@ -102,7 +102,7 @@ def test_a_sheet_is_no_sole(tmp_path, scale):
 def test_a_surface_too_narrow_for_a_sole(tmp_path):
     path = tmp_path / "blade.obj"
     _obj(path, _brick_surface() * (1, 0.001, 1))
-    with pytest.raises(InputError, match=r"nowhere 1\.7 mm wide, too narrow"):
+    with pytest.raises(InputError, match=r"nothing that is 1\.7 mm wide"):
         sole_from_surface(read_surface(path))
 
 
