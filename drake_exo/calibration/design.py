@@ -819,7 +819,7 @@ class DesignProblem(Compiles):
         wearers = {}
         for part, wearer in zip(self.parts, self.wearers, strict=True):
             trials = [
-                replace(part.read(m, t, x), name=own.name)
+                replace(part.read(m, t, x, solution.success), name=own.name)
                 for m, t, own in zip(
                     part.movements, part.trials, part.wearer.trials, strict=True
                 )

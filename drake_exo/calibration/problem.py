@@ -109,9 +109,8 @@ class PhaseResult:
     def trials(self) -> list[Trial]:
         """The solution of each trial."""
         problem = self.problem
-        source = "solved" if self.success else "not solved"
         return [
-            problem.read(movement, trial, self.values, source)
+            problem.read(movement, trial, self.values, self.success)
             for movement, trial in zip(
                 problem.movements, problem.trials, strict=True
             )
@@ -662,14 +661,16 @@ class PhaseProblem(Compiles, ABC):
             for p, value in zip(self.parameters, found, strict=True)
         ]
 
-    def read(self, movement: TrialProgram, trial: Trial, x, source) -> Trial:
+    def read(
+        self, movement: TrialProgram, trial: Trial, x, success: bool
+    ) -> Trial:
         """A trial's solution, with chair and applied loads as measured.
 
         Args:
             movement: the trial's variables.
             trial: the measured trial.
             x: all program variables.
-            source: of the trial that is returned.
+            success: whether they solve the program.
         """
 
         def read(variables):
@@ -694,7 +695,7 @@ class PhaseProblem(Compiles, ABC):
             read(grid.v),
             read(grid.a),
             sum(feet.values(), zero),
-            source=source,
+            source="solved" if success else "not solved",
             feet=feet if self.model.assembly.human.sides else {},
             moments=read(movement.torque),
             cuffs={

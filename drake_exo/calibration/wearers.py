@@ -194,7 +194,7 @@ def _device_angles(trial: Trial, contact: ContactModel | None) -> np.ndarray:
     nor those taken from the person where there are no encoders.
     """
     names = trial.coordinates
-    if trial.source == "solved" or not has_encoders(trial):
+    if trial.source in ("solved", "not solved") or not has_encoders(trial):
         return trial.q[:, names.device_columns]
     off = _found(contact, "encoder", names.device)
     return trial.q[:, names.device_columns] - off
