@@ -141,9 +141,15 @@ def read_plate_csv(
 def _rows(path) -> list[tuple[int, list[str]]]:
     """Line number and cells of each line that is not blank."""
     reader = csv.reader(read_text(path).splitlines())
-    found = [
-        (reader.line_num, row) for row in reader if any(map(str.strip, row))
-    ]
+    try:
+        found = [
+            (reader.line_num, row) for row in reader if any(map(str.strip, row))
+        ]
+    except csv.Error as error:
+        raise InputError(
+            f"{path}:{reader.line_num}: holds no cells between commas "
+            f"({error}); is a quote open? Export it again"
+        ) from error
     if not found:
         raise InputError(f"{path}: is empty; export it again")
     return found

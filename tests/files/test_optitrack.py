@@ -118,6 +118,11 @@ def test_plate_acts_on_the_body(tmp_path):
         (read_plate_csv, plate().replace("700", "7oo"), "csv:19: holds text"),
         (read_markers_csv, markers().replace("9.1", "x"), ":17: holds text"),
         (read_plate_csv, plate()[:-12], "truncated"),
+        (
+            read_markers_csv,
+            markers(5000).replace("\n7,", '\n7,"'),
+            "is a quote open?",
+        ),
         (read_plate_csv, plate().replace("MocapFrame", "Frame"), "MocapFra"),
         (read_plate_csv, plate().replace("3,0.06", "3,0.04"), "not increase"),
     ],
