@@ -120,7 +120,7 @@ def test_plate_acts_on_the_body(tmp_path):
         (read_plate_csv, plate()[:-12], "truncated"),
         (
             read_markers_csv,
-            markers(5000).replace("\n7,", '\n7,"'),
+            markers(frames=5000).replace("\n7,", '\n7,"'),
             "is a quote open?",
         ),
         (read_plate_csv, plate().replace("MocapFrame", "Frame"), "MocapFra"),
