@@ -20,7 +20,7 @@ from drake_exo.contact.parameters import (
     GroundContact,
     Posterior,
 )
-from drake_exo.errors import InputError, path_of
+from drake_exo.errors import InputError, check_fields, path_of
 from drake_exo.files import schema
 from drake_exo.files.opensim import write_table
 from drake_exo.files.output import (
@@ -78,18 +78,29 @@ class _StoredPosterior:
     values: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
 
-    def read(self) -> Posterior:
-        """The posterior; raises InputError if it is no covariance."""
-        m = len(self.names)
-        if [len(self.values), *map(len, self.covariance)] != [m] * (m + 1):
+    def read(self, contact: Iterable[str]) -> Posterior:
+        """The posterior, of which `contact` names what is no error.
+
+        Raises:
+            InputError: it is no covariance, or leaves errors no variance.
+        """
+        m = len(set(self.names))
+        sizes = map(len, (self.names, self.values, *self.covariance))
+        if list(sizes) != [m] * (m + 2):
             raise InputError("posterior: sizes of its parts differ")
         covariance = np.array(self.covariance).reshape(m, m)
         # Checked as correlations; a parameter at a bound has no variance.
         sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         sd = np.where(sd > 0.0, sd, 1.0)
-        values = np.linalg.eigvalsh(covariance / np.outer(sd, sd))
-        if values.min(initial=0.0) < -1e-6:
-            raise InputError("posterior: the covariance is not positive")
+        correlation = covariance / np.outer(sd, sd)
+        errors = ~np.isin(self.names, list(contact))
+        for part, least in (
+            (correlation, -1e-6),
+            (correlation[np.ix_(errors, errors)], 1e-12),  # it is inverted
+        ):
+            found = np.linalg.eigvalsh(part)
+            if found.min(initial=1.0) < least or (part != part.T).any():
+                raise InputError("posterior: the covariance is not positive")
         return Posterior(self.names, np.array(self.values), covariance)
 
 
@@ -184,6 +195,8 @@ class _Stored:
             )
             for c in cuffs
         }
+        for cuff, bushing in bushings.items():
+            check_fields(bushing, cuff)
         contact = GroundContact(
             self.law, ground, settings.law_constants(), self.of_sole
         )
@@ -193,7 +206,7 @@ class _Stored:
             ContactModel(
                 contact.checked(),
                 bushings,
-                self.posterior and self.posterior.read(),
+                self.posterior and self.posterior.read(self.parameters),
                 self.jerk,
             ),
         )

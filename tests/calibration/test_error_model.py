@@ -333,10 +333,17 @@ def test_a_damaged_posterior_is_refused(in_device, tmp_path):
     write_contact(tmp_path, replace(in_device.contact, posterior=known))
     with pytest.raises(InputError, match="not positive"):
         read_calibration(tmp_path)
-    short = replace(known, values=np.zeros(1))
-    write_contact(tmp_path, replace(in_device.contact, posterior=short))
-    with pytest.raises(InputError, match="sizes of its parts"):
-        read_calibration(tmp_path)
+    # Errors are divided by their covariance: none may be known exactly.
+    for entries in ([[0.0, 0], [0, 0]], [[1, 1], [1, 1]], [[1, 0.5], [0, 1]]):
+        flat = replace(known, covariance=np.array(entries))
+        write_contact(tmp_path, replace(in_device.contact, posterior=flat))
+        with pytest.raises(InputError, match="not positive"):
+            read_calibration(tmp_path)
+    for part in ({"values": np.zeros(1)}, {"names": ("a", "a")}):
+        short = replace(known, **part)
+        write_contact(tmp_path, replace(in_device.contact, posterior=short))
+        with pytest.raises(InputError, match="sizes of its parts"):
+            read_calibration(tmp_path)
 
 
 def test_a_verdict_says_whether_calibrating_helps():

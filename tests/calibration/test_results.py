@@ -59,6 +59,15 @@ def test_preload_of_a_strap_survives_disk(in_device, tmp_path):
     assert read_calibration(tmp_path).contact == strapped
 
 
+def test_a_cuff_that_cannot_be_is_told_with_its_file(in_device, tmp_path):
+    """It was told only by the solve, which does not know the file."""
+    bushings = dict(in_device.contact.bushings)
+    bushings["thigh"] = replace(bushings["thigh"], normal_stiffness=-1.0)
+    write_contact(tmp_path, replace(in_device.contact, bushings=bushings))
+    with pytest.raises(InputError, match=r"\.json.*thigh: normal_stiffness"):
+        read_calibration(tmp_path)
+
+
 def test_ground_contact_alone_survives_disk(in_device, tmp_path):
     ground = ContactModel(in_device.contact.ground, jerk=21.0)
     write_contact(tmp_path, ground)
