@@ -83,6 +83,11 @@ def test_data_root_must_be_a_folder(tmp_path):
         ("  prior", "  spheres: {hel: {}}\n  prior", "did you mean 'heel'"),
         ("  prior", "  front: [0.5, 0]\n  prior", "must be above 0"),
         ("  prior", "  end_tolerance: {velocity_m_s: -1}\n  prior", "least 0"),
+        (
+            "nodes_per_second: 100",
+            "max_iterations: 99999999999",
+            "solver.max_iterations is 99999999999, but must be at most",
+        ),
         ("lower: 0.0,", "lower: -0.1,", "lower bound -0.1 is negative"),
         ("lower: 1.0e5,", "lower: 1.0,", "lower bound is 1, but must be at"),
         (

@@ -955,13 +955,13 @@ def _against_the_foot(
     if effects is None:
         return Tracking(variables, target, sigma, role=role)
     known = np.isfinite(sigma)
-    turn = shared_noise(movement.tree, sigma)
-    covariance = np.diag(sigma**2) + np.outer(turn, turn)
-    values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)])
+    own = sigma[known]
+    # (I + w w^T)^(-1/2), w = u/sigma, however far apart the noises are.
+    turn = shared_noise(movement.tree, sigma)[known] / own
+    size = np.sqrt(1.0 + turn @ turn)
+    root = np.eye(len(own)) - np.outer(turn, turn) / (size * (size + 1.0))
     rows = np.eye(len(sigma))
-    rows[np.ix_(known, known)] = sigma[known, None] * (
-        (vectors / np.sqrt(values)) @ vectors.T
-    )
+    rows[np.ix_(known, known)] = own[:, None] * root / own
     return Tracking(
         variables,
         target @ rows.T,

@@ -270,7 +270,7 @@ class Solver:
     hessian: Literal["gauss_newton", "exact"] = "gauss_newton"
     solver: Literal["ipopt", "drake"] = "ipopt"
     tolerance: float = quantity(None, 1e-5, above=0.0)
-    max_iterations: int = quantity(None, 300, minimum=1)
+    max_iterations: int = quantity(None, 300, minimum=1, maximum=1e9)
 
     def options(self) -> SolverOptions:
         """These settings as options of the bridge to IPOPT."""

@@ -18,6 +18,7 @@ from drake_exo.calibration.phases import (
     PredictionProblem,
 )
 from drake_exo.calibration.problem import (
+    _against_the_foot,
     foot_turn,
     ground_terms,
     torque_terms,
@@ -414,6 +415,25 @@ def test_the_foot_alone_turns(in_device):
             == tree.segment_of[tree.body_index(tree.root)]
         )
         assert turned == pytest.approx(0.1 if on_foot else 0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("huge", [1.0, 1e9, 1e60])
+def test_a_noise_may_be_so_large_that_nothing_is_tracked(in_device, huge):
+    """From 1e8 deg on, the sum of noises of all joints was no number."""
+    tree = in_device.model.tree
+    sigma = SIGMA_Q.copy()
+    sigma[3:6] *= huge  # of the person's joints
+    movement, none = SimpleNamespace(tree=tree), np.zeros((1, len(sigma)))
+    term = _against_the_foot(
+        movement, none, none, sigma, "position", none[..., None]
+    )
+    turn = foot_turn(tree) * sigma[2] / sigma
+    weighed = term.rows[0] * (sigma / sigma[:, None])
+    np.testing.assert_allclose(
+        weighed.T @ weighed @ (np.eye(len(sigma)) + np.outer(turn, turn)),
+        np.eye(len(sigma)),
+        atol=1e-9,
+    )
 
 
 @pytest.mark.slow
