@@ -36,7 +36,12 @@ from drake_exo.soles.case import Case
 from drake_exo.soles.load_blocks import LoadBlock, OneFoot
 from drake_exo.soles.loads import read_columns
 from drake_exo.soles.mesh import read_mesh
-from drake_exo.soles.optimize.files import SUMMARY, StoredDesign, read_summary
+from drake_exo.soles.optimize.files import (
+    SUMMARY,
+    StoredDesign,
+    kept_file,
+    read_summary,
+)
 from drake_exo.soles.optimize.search import finished, pareto_front, search_jobs
 from drake_exo.soles.results import strikes
 from drake_exo.soles.settings import (
@@ -529,7 +534,8 @@ def _drawn(design: StoredDesign):
         f"{'stable' if row['stable'] else 'not stable'}, "
         f"tilt up to {row['tilt_max_deg']:.0f}°"
     )
-    initial = read_mesh(design.folder / "initial.vtk", (0.0, 0.0, 0.0))
+    path = kept_file(design.folder, "initial.vtk")
+    initial = read_mesh(path, (0.0, 0.0, 0.0))
     change = radial_change(mesh, *design.shape())
     return design.name, caption, initial, mesh, change
 
@@ -543,7 +549,7 @@ def _stiffness(designs: list[StoredDesign]):
     needed = (*time, *pictures.STIFFNESS)
     soles = {
         design.name: {
-            label: read_columns(design.folder / file, needed, time)
+            label: read_columns(kept_file(design.folder, file), needed, time)
             for label, file in files.items()
         }
         for design in designs

@@ -89,13 +89,19 @@ def test_starts_that_were_interrupted_are_found_by_their_number(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["stage", "iteration", "coefficients", "strain_scale"]
+    ("name", "value"),
+    [
+        *(("stage", -1), ("iteration", -1), ("strain_scale", -1)),
+        *(("coefficients", [1e31] * 4), ("coefficients", [[1.0]] * 4)),
+        *(("latest", [1.0] * 3), ("multipliers", 1.0)),
+        *(("starts", "x"), ("starts", [{"cost": None, "violation": 0.0}])),
+    ],
 )
-def test_numbers_that_no_run_writes_are_refused(tmp_path, name):
+def test_numbers_that_no_run_writes_are_refused(tmp_path, name, value):
     _checkpoint().write(tmp_path)
     path = tmp_path / "checkpoint.json"
     kept = json.loads(path.read_text())
-    kept[name] = [1e31] * 4 if name == "coefficients" else -1
+    kept[name] = value
     path.write_text(json.dumps(kept))
     with pytest.raises(InputError, match="not a checkpoint"):
         read_checkpoint(tmp_path)
@@ -175,6 +181,9 @@ def test_a_design_is_read_from_its_folder(stored, tmp_path):
         found.summary()
     (folder / "history.csv").write_text("iteration,cost\n1,2\n")
     with pytest.raises(InputError, match="column 'stage' is missing"):
+        found.history()
+    (folder / "history.csv").unlink()
+    with pytest.raises(InputError, match=r"history\.csv: is missing; optim"):
         found.history()
     (folder / "sole.vtk").unlink()
     with pytest.raises(InputError, match=r"sole\.vtk: is missing"):

@@ -67,7 +67,7 @@ class Checkpoint:
 
     def check(self) -> None:
         """Raise ValueError if a value is none that a run writes."""
-        numbers = [self.p, self.curvature]
+        numbers, rows = [self.p, self.curvature], self.starts
         if self.alone is not None:
             numbers.append(self.alone)
         if self.barrier is not None:
@@ -78,7 +78,11 @@ class Checkpoint:
             and 0.0 < self.strain_scale < _LARGEST
             and (self.barrier is None or 0.0 < self.barrier < _LARGEST)
             and all((np.abs(x) < _LARGEST).all() for x in numbers)
+            and self.p.ndim == 1
+            and self.latest.shape == self.p.shape
+            and (self.multipliers is None or self.multipliers.ndim == 1)
             and (self.alone is None or self.alone.ndim == 1)
+            and not any(np.isnan(r["cost"] + r["violation"]) for r in rows)
         )
         if not sound:
             raise ValueError("not a checkpoint")
@@ -251,7 +255,7 @@ class StoredDesign:
         Raises:
             InputError: It is missing or damaged.
         """
-        path = self.folder / "history.csv"
+        path = kept_file(self.folder, "history.csv")
         return read_columns(path, TRACE, may_be_empty=True)
 
     def shape(self) -> tuple[SphericalSpline, np.ndarray]:
@@ -319,20 +323,28 @@ def find_designs(folder: Path | str) -> list[StoredDesign]:
     return [read_design(folder / name) for name in names]
 
 
+def kept_file(folder: Path, name: str) -> Path:
+    """Path of a design's file.
+
+    Raises:
+        InputError: It is missing.
+    """
+    if not (folder / name).is_file():
+        raise InputError(
+            f"{folder / name}: is missing; optimise the sole again"
+        )
+    return folder / name
+
+
 def read_design(folder: Path) -> StoredDesign:
     """Read one design.
 
     Raises:
         InputError: A file is missing or damaged.
     """
-    for name in (CASE, MESH, STEPS):
-        if not (folder / name).is_file():
-            raise InputError(
-                f"{folder / name}: is missing; optimise the sole again"
-            )
-    settings = Settings.read(folder / CASE)
-    mesh = read_mesh(folder / MESH, (0.0, 0.0, 0.0))
-    load, ground = read_csv(folder / STEPS), FLAT
+    settings = Settings.read(kept_file(folder, CASE))
+    mesh = read_mesh(kept_file(folder, MESH), (0.0, 0.0, 0.0))
+    load, ground = read_csv(kept_file(folder, STEPS)), FLAT
     if settings.ground is not None:
         kept = read_arrays(folder / HISTORY, "optimise the sole again")
         ground = Ground.of_arrays(kept)
