@@ -431,16 +431,14 @@ class Setup:
         start = settings.start_pose(mesh, ground)
         setup = cls(settings, None, mesh, start, ground)
         ground.check_below(setup.level, "ground.heights")
-        width = float(np.ptp(mesh.nodes[:, :2], axis=0).min())
         found = []
-        for block in settings.all_loads:
-            load = block.load(root, read_step)
-            if load.rotation is not None:
-                turned = load.rotation @ rotation_z(start.yaw)
-                load = replace(load, rotation=turned)
-            replace(setup, load=load).check_load()
-            friction = settings.contact.friction
-            found.append(load.bearable(friction, width, setup.up))
+        for k, block in enumerate(settings.all_loads):
+            try:
+                found.append(setup._read_load(block, root, read_step))
+            except InputError as error:
+                if not settings.loads:
+                    raise
+                raise InputError(f"loads[{k}]: {error}") from error
         load = found[0]
         if settings.loads:
             weights = [block.weight for block in settings.loads]
@@ -448,6 +446,16 @@ class Setup:
         setup = replace(setup, load=load)
         setup.spline().free_map()  # refuses what leaves nothing to change
         return setup if mesh_file is None else setup.on_own_mesh()
+
+    def _read_load(self, block: LoadBlock, root: Path, read_step) -> Load:
+        """One load of the case, with moments that friction bears."""
+        load = block.load(root, read_step)
+        if load.rotation is not None:
+            turned = load.rotation @ rotation_z(self.start.yaw)
+            load = replace(load, rotation=turned)
+        replace(self, load=load).check_load()
+        width = float(np.ptp(self.mesh.nodes[:, :2], axis=0).min())
+        return load.bearable(self.settings.contact.friction, width, self.up)
 
     def check_load(self) -> None:
         """Refuse a load that no pose of the sole can carry.

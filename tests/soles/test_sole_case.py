@@ -153,6 +153,20 @@ def test_numbers_out_of_bounds_are_refused_by_key(old, new, words):
         Case.from_text(EXAMPLE.replace(old, new))
 
 
+def test_an_error_of_one_of_several_loads_says_which():
+    """Of a single load there is nothing to say."""
+    one = EXAMPLE[EXAMPLE.index("  constant:") : EXAMPLE.index("optimize:")]
+    one = one.strip().replace("0.02, 0.01", "0.2, 0.01")
+    for load, words in (
+        (f"loads:\n  - pattern: {{}}\n  - {one}\n", r"^loads\[1\]: constant l"),
+        (f"load:\n  {one}\n", "^constant load: the ZMP is outside"),
+    ):
+        head, rest = EXAMPLE.split("load:\n")
+        text = head + load + rest[rest.index("optimize:") :]
+        with pytest.raises(InputError, match=words):
+            Case.from_text(text)
+
+
 def test_keys_of_a_surface_are_refused_beside_tetrahedra():
     head, rest = EXAMPLE.split("  brick:")
     text = f"{head}  file: sole.vtk\n  unit: mm\n{rest.partition(chr(10))[2]}"
