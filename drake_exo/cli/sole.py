@@ -189,7 +189,8 @@ def _out_of(args, case: soles.Case) -> OutputFolder:
     named = (root / file for file in case.settings.files)
     resumed = getattr(args, "resume", None)
     reads = [args.case, args.mesh, resumed, *named]
-    return prepare_output_folder(args.out, args.force, reads=reads)
+    resume = False if "resume" in args else None
+    return prepare_output_folder(args.out, args.force, resume, reads)
 
 
 def _progress(name: str, total: int | None = None) -> Progress:

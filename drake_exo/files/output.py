@@ -134,7 +134,7 @@ class OutputFolder:
 def prepare_output_folder(
     path: str | Path,
     force: bool = False,
-    resume: bool = False,
+    resume: bool | None = None,
     reads: Iterable[str | Path | None] = (),
 ) -> OutputFolder:
     """Create the folder `path` for results; see `OutputFolder`.
@@ -142,7 +142,8 @@ def prepare_output_folder(
     Args:
         path: the folder.
         force: replace the results in it.
-        resume: continue in it or, with `force`, in what `NAME.partial` holds.
+        resume: continue in it or, with `force`, in what `NAME.partial` holds;
+            None for a command without such an option.
         reads: files and folders that the run reads, and must not replace.
 
     Raises:
@@ -175,11 +176,13 @@ def prepare_output_folder(
         ) from error
 
 
-def _place(target: Path, force: bool, resume: bool) -> Path:
+def _place(target: Path, force: bool, resume: bool | None) -> Path:
     """Folder to write to: target, or `NAME.partial`, emptied if no resume."""
     occupied = _files(target)
     if occupied and not (force or resume):
-        cut_off = any(Path(name).stem == "checkpoint" for name in occupied)
+        cut_off = resume is not None and any(
+            Path(name).stem == "checkpoint" for name in occupied
+        )
         raise InputError(
             f"{target}: already holds results; choose another folder for "
             "--out, or replace them with --force"

@@ -42,6 +42,8 @@ def test_occupied_folder_is_refused(tmp_path):
     (tmp_path / "unfinished_rise1").mkdir()
     (tmp_path / "unfinished_rise1" / "checkpoint.npz").write_text("")
     with pytest.raises(InputError, match=r"--force, or .* with --resume$"):
+        prepare_output_folder(tmp_path, resume=False)
+    with pytest.raises(InputError, match=r"replace them with --force$"):
         prepare_output_folder(tmp_path)
 
 
