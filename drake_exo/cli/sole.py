@@ -27,6 +27,7 @@ from drake_exo.soles.optimize.files import (
     read_summary,
 )
 
+_OUTSIDE = 0.01  # largest share by which a front's point misses a limit
 _FOLDERS = "folder of 'sole optimize' or 'sole study'"
 _LIMITS = (
     "limits on stability, tilt and strain: all keeps the case's, none leaves "
@@ -255,7 +256,7 @@ def _study(args) -> int:
 
 
 def _front(args) -> int:
-    """Compute the front of one case; exit code 0 if every point simulates."""
+    """Compute the front of one case; the exit code of its verdict."""
     case = _case(args)
     folder = _out_of(args, case)
     with folder as out:
@@ -282,7 +283,7 @@ def _front(args) -> int:
 
 
 def _point_checks(point: dict) -> list[Check]:
-    """Whether a point of the front simulates, and keeps its floor."""
+    """Whether a point of the front simulates, and keeps limits and floor."""
     floor, failed = point["floor"], point["failed_steps"]
     where = f"floor {floor:.3f}"
     solved = Check(
@@ -291,13 +292,19 @@ def _point_checks(point: dict) -> list[Check]:
     )  # fmt: skip
     if failed:
         return [solved]
+    outside = point["violation"]
+    within = Check(
+        "bounds.limits", outside <= _OUTSIDE, outside, _OUTSIDE, "", where,
+        "the design is outside the case's limits by this share; widen them, "
+        "or begin with a shape that is within them",
+    )  # fmt: skip
     ratio = point["ratio_rot"]
     keeps = Check(
         "bounds.c_rot", ratio >= floor, ratio, floor, "", where,
         "c_rot by the exact law, as a share of the initial shape's, is below "
         "the floor", "note",
     )  # fmt: skip
-    return [solved, keeps]
+    return [solved, within, keeps]
 
 
 def _strain(args) -> int:

@@ -338,6 +338,11 @@ def test_points_of_a_front_survive_ctrl_c(case, monkeypatch, capsys):
     assert main([*words, str(case / "out"), "--force"]) == 130
     said = capsys.readouterr().out
     assert "bounds.c_rot (floor 0.900, 0.899, limit 0.9)" in said
+    # Outside of the case's limits nothing holds.
+    assert command._point_checks(point)[1].holds
+    (_, within, _) = command._point_checks(point | {"violation": 0.0101})
+    assert (within.name, within.holds) == ("bounds.limits", False)
+    assert within.level == "fail"
 
 
 def test_ctrl_c_says_how_an_optimisation_goes_on(case, monkeypatch, capsys):
