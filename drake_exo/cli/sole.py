@@ -249,7 +249,7 @@ def _study(args) -> int:
     with prepare_output_folder(args.out, args.force, reads=[args.mesh]) as out:
         verdict, text = study.run(out, args.jobs, args.front, args.accept)
         print(text)
-        print(paper.report(out, soles.find_designs(out)))
+        print(paper.report(out, soles.find_designs(out), out))
     print(verdict.text())
     print(f"results in {args.out}")
     return verdict.exit_code
@@ -387,7 +387,7 @@ def _report(args) -> int:
     """Draw pictures and report.html again, and print the table."""
     designs = soles.find_designs(args.source)
     with _out_or_source(args, paper.SOLES) as out:
-        text = paper.report(out, designs)
+        text = paper.report(out, designs, args.source)
     if text:
         print(text)
     print(f"pictures in {args.out or args.source}")

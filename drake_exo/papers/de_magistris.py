@@ -23,6 +23,7 @@ from drake_exo.files.output import (
     write_json,
     write_text,
 )
+from drake_exo.files.tables import read_text
 from drake_exo.jobs.engine import (
     BatchProgress,
     Ended,
@@ -451,8 +452,13 @@ def draw_pareto_front(
     save_figure(out / "front.png", figure, mark)
 
 
-def report(out: Path, designs: list[StoredDesign]) -> str:
+def report(out: Path, designs: list[StoredDesign], source: Path) -> str:
     """Write the pictures of designs, finite_strain.* and report.html.
+
+    Args:
+        out: Folder to write into.
+        designs: What is shown.
+        source: Their folder, from which a study's own tables and front come.
 
     Returns:
         The finite-strain table; empty if no design has one.
@@ -478,7 +484,8 @@ def report(out: Path, designs: list[StoredDesign]) -> str:
     for name, figure in figures.items():
         save_figure(out / name, figure, mark)
     text = finite_strain.write_table(out, found, mark) if found else ""
-    _write_page(out, designs, [*figures, "front.png"], text)
+    files = [*(out / name for name in figures), source / "front.png"]
+    _write_page(out, designs, source / "table.txt", files, text)
     return text
 
 
@@ -493,18 +500,16 @@ padding: 0 1em}} img {{max-width: 100%}} pre {{white-space: pre-wrap}}
 """
 
 
-def _write_page(out: Path, designs, figures, strains: str) -> None:
+def _write_page(out: Path, designs, tables, pictures, strains: str) -> None:
     """Write report.html: every table and picture in one file."""
 
     def preformatted(text: str) -> str:
         return f"<pre>{html.escape(text)}</pre>"
 
     body = []
-    if (out / "table.txt").is_file():
-        body.append(preformatted((out / "table.txt").read_text("utf-8")))
-    # Pictures of this run, and those that a study has left there.
-    files = [out / name for name in figures]
-    body += [embedded(file, file.stem) for file in files if file.is_file()]
+    if tables.is_file():
+        body.append(preformatted(read_text(tables)))
+    body += [embedded(file, file.stem) for file in pictures if file.is_file()]
     if strains:
         body += ["<h2>Heel strike in finite strain</h2>", preformatted(strains)]
     for design in designs:

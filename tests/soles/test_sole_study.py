@@ -53,7 +53,7 @@ def test_a_study_runs_its_cases_side_by_side(tmp_path, capsys):
     path = out / "1-Ref" / "summary.json"
     row = json.loads(path.read_text("utf-8")) | Verdict((off,)).summary()
     path.write_text(json.dumps(row), encoding="utf-8")
-    paper.report(out, find_designs(out))
+    paper.report(out, find_designs(out), out)
     assert len(list(out.glob("*.png"))) >= 3 and list(out.glob("*.html"))
     assert not [name for name in unmarked(out) if "/" not in name]
 

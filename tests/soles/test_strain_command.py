@@ -133,6 +133,9 @@ def test_pictures_are_drawn_again_from_the_folders(study, tmp_path):
     said.write_text(json.dumps(row))
     rows = [{"name": "small"}, {"name": "twin"}]
     (pair / "summary.json").write_text(json.dumps({"cases": rows}))
+    # What the study alone can write; of the table one byte is damaged.
+    (pair / "table.txt").write_bytes(b"Table 2\xff")
+    (pair / "front.png").write_bytes(b"front")
     out = tmp_path / "out"
     assert cli.main(["sole", "report", str(pair), "--out", str(out)]) == 0
     pictures = ("soles.png", "stiffness.png", "histories.png")
@@ -147,7 +150,8 @@ def test_pictures_are_drawn_again_from_the_folders(study, tmp_path):
     assert sum(line.startswith("twin <b> ") for line in lines) == 3
     page = (out / "report.html").read_text()
     assert "://" not in page
-    assert page.count("data:image/png;base64,") == 3 + 2
+    assert page.count("data:image/png;base64,") == 3 + 2 + 1
+    assert "<pre>Table 2" in page and 'alt="front"' in page
     assert "<h2>twin &lt;b&gt;</h2>" in page and "<b>" not in page
     assert page.count('class="mark"') == 1
     animation = tmp_path / "animation.html"
