@@ -142,6 +142,8 @@ def test_bad_input_is_one_sentence_and_exit_code_2(folder, capsys, name):
             "divisions: [0, 1, 1]",
             r"stages.*divisions\[0\] is 0",
         ),
+        ("kappa: 0.2", "kappa: 1.1", r"kappa is 1.1, but must be at most 1"),
+        ("layer_m: 1.0e-4", "layer_m: 1", r"layer_m is 1, .* most 0.01 m"),
         ("starts: 1", "strain: 30", "strain is 30"),
         ("load:", "start: {yaw_rad: -5.7e+1}\nload:", "yaw_rad"),
         ("neoprene}", "neoprene, youngs_modulus_pa: 5}", "at least 1000 Pa"),
