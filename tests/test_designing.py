@@ -758,6 +758,7 @@ def test_what_is_asked_in_python_is_checked(study):
     ("text", "said"),
     [
         ("order: 2", "order is 2, but must be at least 4"),
+        ("order: 200", "order is 200, but must be at most 100"),
         (
             "cuffs: {thigh: {along_m: [0.1, 0.2]}}",
             "must include its value today",
@@ -768,6 +769,14 @@ def test_what_is_asked_in_python_is_checked(study):
             "population: {height_m: [1.7, 0.1], mass_kg: [70, 10], "
             "percentiles: [50, 50]}",
             "percentile is given twice",
+        ),
+        (
+            "population: {height_m: [170, 10], mass_kg: [70, 10]}",
+            "height_m: that of the 5th percentile is 153.551, but must be at",
+        ),
+        (
+            "population: {height_m: [1.7, 0.1], mass_kg: [70, 40]}",
+            "mass_kg: that of the 5th percentile is 4.20585, but must be at",
         ),
     ],
 )

@@ -84,8 +84,8 @@ def test_data_root_must_be_a_folder(tmp_path):
         ("  prior", "  front: [0.5, 0]\n  prior", "must be above 0"),
         ("  prior", "  end_tolerance: {velocity_m_s: -1}\n  prior", "least 0"),
         (
-            "nodes_per_second: 100",
-            "max_iterations: 99999999999",
+            "  solver: {",
+            "  solver: {max_iterations: 99999999999, ",
             "solver.max_iterations is 99999999999, but must be at most",
         ),
         ("lower: 0.0,", "lower: -0.1,", "lower bound -0.1 is negative"),

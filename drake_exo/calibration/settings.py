@@ -34,7 +34,7 @@ from drake_exo.errors import InputError, check_bounds
 from drake_exo.files.schema import not_negative, positive, quantity
 from drake_exo.measurement.settings import Device, Filter, JointDrive
 from drake_exo.model.assembly import either_side
-from drake_exo.model.segments import CUFFED, place
+from drake_exo.model.segments import CUFFED, HEIGHTS_M, MASSES_KG, place
 from drake_exo.nlp.ipopt import SolverOptions
 
 __all__ = [
@@ -874,6 +874,13 @@ class Population:
     def __post_init__(self):
         if len(set(self.percentiles)) < len(self.percentiles):
             raise InputError("a percentile is given twice; give each once")
+        for name, height, mass in self.bodies():
+            for key, value, unit, (least, most) in (
+                ("height_m", height, "m", HEIGHTS_M),
+                ("mass_kg", mass, "kg", MASSES_KG),
+            ):
+                bounds = {"unit": unit, "minimum": least, "maximum": most}
+                check_bounds(f"{key}: that of the {name}", value, bounds)
 
     def bodies(self) -> list[tuple[str, float, float]]:
         """Name, height [m] and mass [kg] of each percentile's body."""
@@ -883,10 +890,7 @@ class Population:
             height, mass = (
                 mean + off * sd for mean, sd in (self.height_m, self.mass_kg)
             )
-            name = f"{percentile:g}th percentile"
-            if min(height, mass) <= 0.0:
-                raise InputError(f"nobody is as small as the {name}")
-            found.append((name, height, mass))
+            found.append((f"{percentile:g}th percentile", height, mass))
         return found
 
 
@@ -939,7 +943,8 @@ class DesignSettings:
     """
 
     objective: Literal["peak", "mean"] = "peak"
-    order: float = quantity(None, 8.0, minimum=4.0)
+    # The power of 1000 N, summed over time, is still a number.
+    order: float = quantity(None, 8.0, minimum=4.0, maximum=100.0)
     shear_weight: float = quantity(None, 0.25, minimum=0.0)
     weight: float = positive("1", 10.0)
     response: Literal["own", "free"] = "own"
