@@ -25,7 +25,7 @@ from drake_exo.files import schema
 from drake_exo.files.output import Check, write_csv
 from drake_exo.model.assembly import Person
 from drake_exo.model.plant import Model
-from drake_exo.model.segments import CONTACT_RADIUS_M
+from drake_exo.model.segments import CONTACT_RADIUS_M, IN_BODY
 
 _USUAL_DEPTH_M = 0.01  # indentation that the default smoothing is made for
 _LOADED = 0.1  # share of the largest force above which the CoP is fitted
@@ -81,17 +81,17 @@ class SoleSphere:
         x_m_95, y_m_95, z_m_95: half-widths of their 95 % intervals.
     """
 
-    modulus_n_m2: float = schema.quantity("N/m^2", above=0.0)
+    modulus_n_m2: float = schema.quantity("N/m^2", minimum=_LOWER_N_M2)
     modulus_factor_95: float = schema.quantity(None, 1.0, minimum=1.0)
     dissipation_s_m: float = schema.quantity(
         "s/m", NOMINAL_DISSIPATION, minimum=0.0
     )
     radius_m: float = schema.quantity("m", CONTACT_RADIUS_M, above=0.0)
-    x_m: float = schema.quantity("m", 0.0)
+    x_m: float = field(default=0.0, metadata=IN_BODY)
     x_m_95: float = schema.quantity("m", 0.0, minimum=0.0)
-    y_m: float = schema.quantity("m", 0.0)
+    y_m: float = field(default=0.0, metadata=IN_BODY)
     y_m_95: float = schema.quantity("m", 0.0, minimum=0.0)
-    z_m: float = schema.quantity("m", 0.0)
+    z_m: float = field(default=0.0, metadata=IN_BODY)
     z_m_95: float = schema.quantity("m", 0.0, minimum=0.0)
 
 
@@ -116,7 +116,9 @@ class SoleLaw:
     0.2
     """
 
-    size_m: tuple[float, float, float] = schema.quantity("m", above=0.0)
+    size_m: tuple[float, float, float] = schema.quantity(
+        "m", above=0.0, maximum=IN_BODY["maximum"]
+    )
     spheres: dict[str, SoleSphere]
     constants: SimbodyConstants = field(default_factory=SimbodyConstants)
     planar: bool = False

@@ -207,6 +207,21 @@ def test_what_is_written_is_read(tmp_path):
     assert SoleLaw.read(path) == law
 
 
+@pytest.mark.parametrize(
+    ("sphere", "size", "words"),
+    [
+        ("modulus_n_m2: 20", "0.26, 0.1, 0.02", "modulus_n_m2 is 20, but"),
+        ("modulus_n_m2: 2.0e7, x_m: -100", "0.26, 0.1, 0.02", "at least -3 m"),
+        ("modulus_n_m2: 2.0e7", "260, 100, 22", "size_m.0. is 260, but"),
+    ],
+)
+def test_a_law_in_other_units_is_refused(sphere, size, words):
+    """A solve looked for 300 iterations how a foot stands on it."""
+    spheres = f"spheres: {{heel: {{{sphere}}}, toe: {{modulus_n_m2: 2.0e7}}}}"
+    with pytest.raises(InputError, match=words):
+        schema.load_text(f"size_m: [{size}]\n{spheres}", SoleLaw)
+
+
 @pytest.mark.parametrize("legs", ["one", "two"])
 def test_feet_press_as_the_soles_do(legs):
     """A diagram's ground reaction, level and 1.2 mm deep, against one sole's.
