@@ -388,6 +388,14 @@ class LoadBlock:
             raise InputError("a recording takes trial and foot; give both")
         elif self.straight and self.pose == "measured":
             raise InputError("straight and pose: measured exclude each other")
+        elif (
+            self.begin != "heel_strike"
+            and self.end != "toe_off"
+            and self.begin >= self.end
+        ):
+            raise InputError(
+                f"from {self.begin:g} s has to be before to {self.end:g} s"
+            )
 
     @property
     def file(self) -> str | None:

@@ -71,6 +71,8 @@ def test_a_measured_pose_keeps_roll_and_pitch_and_the_sole_s_yaw():
         ("left\n", "left\n  pose: measured\n  straight: true\n", "exclude"),
         ("left\n", "left\n  from: 1 s\n", "load.from must be"),
         ("left\n", "left\n  begin: 1\n", "'begin'"),
+        ("left\n", "left\n  from: 0.7\n  to: 0.6\n",
+         r":10: load: from 0\.7 s has to be before to 0\.6 s"),
     ],
 )  # fmt: skip
 def test_keys_that_do_not_fit_are_named(old, new, sentence):
