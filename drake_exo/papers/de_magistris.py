@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from drake_exo.errors import InputError
 from drake_exo.files.output import (
     Check,
     Verdict,
@@ -466,6 +467,7 @@ def report(out: Path, designs: list[StoredDesign], source: Path) -> str:
     # matplotlib takes half a second to load.
     from drake_exo.soles import pictures
 
+    summaries = {d.name: _summary(d) for d in designs}
     figures = {
         SOLES: pictures.soles_figure([_drawn(d) for d in designs]),
         "histories.png": pictures.histories_figure(
@@ -474,7 +476,6 @@ def report(out: Path, designs: list[StoredDesign], source: Path) -> str:
     }
     if len(designs) > 1:  # a single design has its own stiffness.png
         figures["stiffness.png"] = _stiffness(designs)
-    summaries = {d.name: d.summary() for d in designs}
     found = {
         d.name: finite_strain.from_json(kept, d.folder / SUMMARY)
         for d in designs
@@ -487,6 +488,19 @@ def report(out: Path, designs: list[StoredDesign], source: Path) -> str:
     files = [*(out / name for name in figures), source / "front.png"]
     _write_page(out, designs, source / "table.txt", files, text)
     return text
+
+
+def _summary(design: StoredDesign) -> dict:
+    """A design's summary.json; refused where it is damaged."""
+    row = design.summary()
+    try:
+        line(row)  # fails on damaged entries, as the verdict's text does
+        (stored(row) or Verdict(())).text()
+    except (AttributeError, InputError, LookupError, TypeError, ValueError):
+        raise InputError(
+            f"{design.folder / SUMMARY}: is damaged; optimise the sole again"
+        ) from None
+    return row
 
 
 _PAGE = """<!DOCTYPE html>

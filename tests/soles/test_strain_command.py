@@ -209,6 +209,20 @@ def test_a_changed_table_is_refused(study, tmp_path, change, capsys):
     assert not (out / "soles.png").exists()
 
 
+@pytest.mark.parametrize(
+    "change", [{"checks": "x"}, {"active": None}, {"finer": {"design": {}}}]
+)
+def test_a_changed_summary_is_refused(study, tmp_path, change, capsys):
+    folder = tmp_path / "small"
+    shutil.copytree(study / "small", folder)
+    row = json.loads((folder / "summary.json").read_text()) | change
+    (folder / "summary.json").write_text(json.dumps(row))
+    out = tmp_path / "out"
+    assert cli.main(["sole", "report", str(folder), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert "small/summary.json: is damaged; optimise the sole again" in said
+
+
 def test_the_start_is_that_of_the_initial_shape(study):
     (design,) = find_designs(study)
     np.testing.assert_allclose(design.setup.start.point_L, [-0.115, 0.0, -0.03])
