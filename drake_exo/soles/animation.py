@@ -359,8 +359,13 @@ def replay_soles(folder: Path, path: Path) -> None:
 
 def _told(folder: Path) -> tuple[str, str]:
     """Name of the case in a folder, and its verdict's mark."""
-    summary = read_json(folder / "summary.json", _AGAIN)
+    path = folder / "summary.json"
+    summary = read_json(path, _AGAIN)
     if not isinstance(summary, dict):
         return folder.name, ""
+    try:
+        mark = stored_mark(summary)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     name = summary.get("name")
-    return name if isinstance(name, str) else folder.name, stored_mark(summary)
+    return name if isinstance(name, str) else folder.name, mark

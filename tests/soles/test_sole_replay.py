@@ -163,3 +163,9 @@ def test_damaged_history_is_refused(folder):
     (folder / HISTORY).write_bytes(b"PK nothing")
     with pytest.raises(InputError, match=": is damaged"):
         replay_soles(folder, folder / "page.html")
+
+
+def test_damaged_checks_are_told_with_their_file(folder, tmp_path):
+    (folder / "summary.json").write_text('{"name": "small", "checks": "x"}')
+    with pytest.raises(InputError, match=r"summary\.json: checks are not as"):
+        replay_soles(folder, tmp_path / "page.html")
