@@ -467,7 +467,7 @@ def report(out: Path, designs: list[StoredDesign], source: Path) -> str:
     # matplotlib takes half a second to load.
     from drake_exo.soles import pictures
 
-    summaries = {d.name: _summary(d) for d in designs}
+    told = [_told(d) for d in designs]
     figures = {
         SOLES: pictures.soles_figure([_drawn(d) for d in designs]),
         "histories.png": pictures.histories_figure(
@@ -476,6 +476,7 @@ def report(out: Path, designs: list[StoredDesign], source: Path) -> str:
     }
     if len(designs) > 1:  # a single design has its own stiffness.png
         figures["stiffness.png"] = _stiffness(designs)
+    summaries = {d.name: d.summary() for d in designs}
     found = {
         d.name: finite_strain.from_json(kept, d.folder / SUMMARY)
         for d in designs
@@ -486,21 +487,8 @@ def report(out: Path, designs: list[StoredDesign], source: Path) -> str:
         save_figure(out / name, figure, mark)
     text = finite_strain.write_table(out, found, mark) if found else ""
     files = [*(out / name for name in figures), source / "front.png"]
-    _write_page(out, designs, source / "table.txt", files, text)
+    _write_page(out, designs, told, source / "table.txt", files, text)
     return text
-
-
-def _summary(design: StoredDesign) -> dict:
-    """A design's summary.json; refused where it is damaged."""
-    row = design.summary()
-    try:
-        line(row)  # fails on damaged entries, as the verdict's text does
-        (stored(row) or Verdict(())).text()
-    except (AttributeError, InputError, LookupError, TypeError, ValueError):
-        raise InputError(
-            f"{design.folder / SUMMARY}: is damaged; optimise the sole again"
-        ) from None
-    return row
 
 
 _PAGE = """<!DOCTYPE html>
@@ -514,26 +502,42 @@ padding: 0 1em}} img {{max-width: 100%}} pre {{white-space: pre-wrap}}
 """
 
 
-def _write_page(out: Path, designs, tables, pictures, strains: str) -> None:
+def _preformatted(text: str) -> str:
+    return f"<pre>{html.escape(text)}</pre>"
+
+
+def _told(design: StoredDesign) -> list[str]:
+    """What report.html says of a design's summary.json.
+
+    Raises:
+        InputError: It is missing or damaged.
+    """
+    row = design.summary()
+    try:
+        mark, found = html.escape(stored_mark(row)), stored(row)
+        told = [f'<p class="mark">{mark}</p>'] if mark else []
+        told.append(_preformatted(line(row)))
+        told += [_preformatted(found.text())] if found else []
+    except (AttributeError, InputError, LookupError, TypeError, ValueError):
+        raise InputError(
+            f"{design.folder / SUMMARY}: is damaged; optimise the sole again"
+        ) from None
+    return told
+
+
+def _write_page(
+    out: Path, designs, told, tables: Path, pictures, strains: str
+) -> None:
     """Write report.html: every table and picture in one file."""
-
-    def preformatted(text: str) -> str:
-        return f"<pre>{html.escape(text)}</pre>"
-
     body = []
     if tables.is_file():
-        body.append(preformatted(read_text(tables)))
+        body.append(_preformatted(read_text(tables)))
     body += [embedded(file, file.stem) for file in pictures if file.is_file()]
     if strains:
-        body += ["<h2>Heel strike in finite strain</h2>", preformatted(strains)]
-    for design in designs:
-        row = design.summary()
-        body.append(f"<h2>{html.escape(design.name)}</h2>")
-        mark = html.escape(stored_mark(row))
-        body += [f'<p class="mark">{mark}</p>'] if mark else []
-        body.append(preformatted(line(row)))
-        found = stored(row)
-        body += [preformatted(found.text())] if found else []
+        heading = "<h2>Heel strike in finite strain</h2>"
+        body += [heading, _preformatted(strains)]
+    for design, texts in zip(designs, told, strict=True):
+        body += [f"<h2>{html.escape(design.name)}</h2>", *texts]
         drawing = design.folder / "drawing.png"
         body += [embedded(drawing, "drawing")] if drawing.is_file() else []
     title = ", ".join(design.name for design in designs)

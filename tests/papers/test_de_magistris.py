@@ -218,7 +218,10 @@ def test_a_page_holds_its_tables_and_pictures(tmp_path, monkeypatch):
     designs = [stored(tmp_path / name, name) for name in ("a&b", "c")]
     (tmp_path / "table.txt").write_text("the table")
     (tmp_path / "soles.png").write_bytes(b"soles")
-    paper._write_page(tmp_path, designs, ["soles.png", "front.png"], "strains")
+    tables = tmp_path / "table.txt"
+    pictures = [tmp_path / name for name in ("soles.png", "front.png")]
+    told = [paper._told(design) for design in designs]
+    paper._write_page(tmp_path, designs, told, tables, pictures, "strains")
     page = (tmp_path / "report.html").read_text()
     held = [
         base64.b64decode(part.partition('"')[0]).decode()
