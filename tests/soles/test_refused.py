@@ -225,6 +225,9 @@ def test_lengths_and_keys_of_a_case():
         for text, block in refused:
             with pytest.raises(InputError, match=f"but must be at {bound}"):
                 schema.load_text(text, block)
+    # A walk may end far from the room's origin.
+    start = schema.load_text("point_in_world_m: [40, -40]", StartBlock)
+    assert start.point_in_world_m == (40.0, -40.0)
     with pytest.raises(InputError, match="tilt_deg is 100, but must be"):
         schema.load_text("tilt_deg: 100", OptimizeBlock)
     text = "fixed_m: [[[-115, -65, -30], [0, 65, 0]]]"
