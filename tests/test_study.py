@@ -88,6 +88,11 @@ def test_data_root_must_be_a_folder(tmp_path):
             "  solver: {max_iterations: 99999999999, ",
             "solver.max_iterations is 99999999999, but must be at most",
         ),
+        (
+            "foot_ground:",
+            "prediction: {speed_m_s: 1.3}\nfoot_ground:",
+            "prediction: speed_m_s is that of a step without data",
+        ),
         ("lower: 0.0,", "lower: -0.1,", "lower bound -0.1 is negative"),
         ("lower: 1.0e5,", "lower: 1.0,", "lower bound is 1, but must be at"),
         (

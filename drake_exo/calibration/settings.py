@@ -672,6 +672,13 @@ class PredictionSettings:
     errors: ErrorSizes = field(default_factory=ErrorSizes)
     solver: Solver = Solver()
 
+    def __post_init__(self):
+        if self.speed_m_s is not None and self.ends != "periodic":
+            raise InputError(
+                "speed_m_s is that of a step without data, this one ends as "
+                "measured; leave it out, or give ends: periodic"
+            )
+
 
 _SHARE = {"unit": "1", "minimum": 0.0, "maximum": 1.0}
 
