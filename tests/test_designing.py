@@ -772,11 +772,11 @@ def test_what_is_asked_in_python_is_checked(study):
         ),
         (
             "population: {height_m: [170, 10], mass_kg: [70, 10]}",
-            "height_m: that of the 5th percentile is 153.551, but must be at",
+            "5th percentile height_m must lie between 0.9 and 2.6 m, not 15",
         ),
         (
             "population: {height_m: [1.7, 0.1], mass_kg: [70, 40]}",
-            "mass_kg: that of the 5th percentile is 4.20585, but must be at",
+            "5th percentile mass_kg must lie between 15 and 350 kg, not 4.",
         ),
     ],
 )

@@ -86,7 +86,7 @@ def test_data_root_must_be_a_folder(tmp_path):
         (
             "  solver: {",
             "  solver: {max_iterations: 99999999999, ",
-            "solver.max_iterations is 99999999999, but must be at most",
+            "max_iterations is 99999999999, but must be at most 1e+09",
         ),
         (
             "foot_ground:",

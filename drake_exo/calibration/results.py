@@ -84,9 +84,10 @@ class _StoredPosterior:
         Raises:
             InputError: it is no covariance, or leaves errors no variance.
         """
-        m = len(set(self.names))
-        sizes = map(len, (self.names, self.values, *self.covariance))
-        if list(sizes) != [m] * (m + 2):
+        m = len(self.names)
+        if len(set(self.names)) < m:
+            raise InputError("posterior: names repeat")
+        if [len(self.values), *map(len, self.covariance)] != [m] * (m + 1):
             raise InputError("posterior: sizes of its parts differ")
         covariance = np.array(self.covariance).reshape(m, m)
         # Checked as correlations; a parameter at a bound has no variance.

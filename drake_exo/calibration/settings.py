@@ -34,7 +34,7 @@ from drake_exo.errors import InputError, check_bounds
 from drake_exo.files.schema import not_negative, positive, quantity
 from drake_exo.measurement.settings import Device, Filter, JointDrive
 from drake_exo.model.assembly import either_side
-from drake_exo.model.segments import CUFFED, HEIGHTS_M, MASSES_KG, place
+from drake_exo.model.segments import CUFFED, check_body, place
 from drake_exo.nlp.ipopt import SolverOptions
 
 __all__ = [
@@ -882,12 +882,7 @@ class Population:
         if len(set(self.percentiles)) < len(self.percentiles):
             raise InputError("a percentile is given twice; give each once")
         for name, height, mass in self.bodies():
-            for key, value, unit, (least, most) in (
-                ("height_m", height, "m", HEIGHTS_M),
-                ("mass_kg", mass, "kg", MASSES_KG),
-            ):
-                bounds = {"unit": unit, "minimum": least, "maximum": most}
-                check_bounds(f"{key}: that of the {name}", value, bounds)
+            check_body(mass, height, name)
 
     def bodies(self) -> list[tuple[str, float, float]]:
         """Name, height [m] and mass [kg] of each percentile's body."""

@@ -241,7 +241,7 @@ def finished(folder: Path, of: str, points: int = 0) -> Verdict | None:
     if not path.is_file():
         return None
     summary = read_json(path, "leave out --resume to start afresh")
-    found = stored(summary)
+    found = stored(summary, path)
     if found is None or found.word == UNSOLVED:
         return None
     if summary.get("inputs") != of:

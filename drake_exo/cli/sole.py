@@ -26,8 +26,8 @@ from drake_exo.soles.optimize.files import (
     read_checkpoint,
     read_summary,
 )
+from drake_exo.soles.optimize.limits import ROUNDING
 
-_OUTSIDE = 0.01  # largest share by which a front's point misses a limit
 _FOLDERS = "folder of 'sole optimize' or 'sole study'"
 _LIMITS = (
     "limits on stability, tilt and strain: all keeps the case's, none leaves "
@@ -294,9 +294,10 @@ def _point_checks(point: dict) -> list[Check]:
         return [solved]
     outside = point["violation"]
     within = Check(
-        "bounds.limits", outside <= _OUTSIDE, outside, _OUTSIDE, "", where,
-        "the design is outside the case's limits by this share; widen them, "
-        "or begin with a shape that is within them",
+        "bounds.limits", outside <= ROUNDING, outside, ROUNDING, "", where,
+        "by the smoothed law the design misses a limit, or the least quality "
+        "of elements, by this share; widen the case's limits, or begin with "
+        "a shape that is within them",
     )  # fmt: skip
     ratio = point["ratio_rot"]
     keeps = Check(

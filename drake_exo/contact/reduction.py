@@ -86,7 +86,9 @@ class SoleSphere:
     dissipation_s_m: float = schema.quantity(
         "s/m", NOMINAL_DISSIPATION, minimum=0.0
     )
-    radius_m: float = schema.quantity("m", CONTACT_RADIUS_M, above=0.0)
+    radius_m: float = schema.quantity(
+        "m", CONTACT_RADIUS_M, above=0.0, maximum=IN_BODY["maximum"]
+    )
     x_m: float = field(default=0.0, metadata=IN_BODY)
     x_m_95: float = schema.quantity("m", 0.0, minimum=0.0)
     y_m: float = field(default=0.0, metadata=IN_BODY)

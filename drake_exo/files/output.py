@@ -705,22 +705,26 @@ def _draw_mark(figure: Figure, mark: str) -> None:
     figure.text(0.5, -0.02, "\n".join(lines), va="top", fontsize=9, **style)
 
 
-def stored_mark(summary: Mapping[str, Any]) -> str:
+def stored_mark(
+    summary: Mapping[str, Any], path: Path | str = "summary.json"
+) -> str:
     """The mark of a stored result by its summary.json; empty if it holds.
 
     A summary without checks, as earlier versions wrote it, is marked, too.
     """
-    found = stored(summary)
+    found = stored(summary, path)
     if found is None:
         return mark_of(FAILS, ["written by a version without checks"])
     return found.mark
 
 
-def stored(summary: Mapping[str, Any]) -> Verdict | None:
+def stored(
+    summary: Mapping[str, Any], path: Path | str = "summary.json"
+) -> Verdict | None:
     """The verdict in a summary.json; None if the summary has no checks.
 
     Raises:
-        InputError: its checks are damaged.
+        InputError: its checks are damaged; names `path`.
     """
     if "checks" not in summary:
         return None
@@ -739,7 +743,7 @@ def stored(summary: Mapping[str, Any]) -> Verdict | None:
         whole = False
     if not whole:
         raise InputError(
-            "checks are not as a command writes them; run it again"
+            f"{path}: checks are not as a command writes them; run it again"
         )
     return Verdict(tuple(rows), accepted)
 

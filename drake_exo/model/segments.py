@@ -289,7 +289,9 @@ def scale_human(
         InputError: mass, height or body mass index that nobody has; unknown
             sex.
     """
-    _check_subject(mass_kg, height_m, sex)
+    if sex not in DE_LEVA:
+        raise InputError(f"subject sex must be male or female, not {sex!r}")
+    check_body(mass_kg, height_m, "subject")
     rows = DE_LEVA[sex]
     scale = height_m / MEAN_HEIGHT_MM[sex]
     ankle_height = _ANKLE_HEIGHT * height_m
@@ -330,25 +332,28 @@ def scale_human(
     )
 
 
-def _check_subject(mass_kg: float, height_m: float, sex: str) -> None:
-    if sex not in DE_LEVA:
-        raise InputError(f"subject sex must be male or female, not {sex!r}")
+def check_body(mass_kg: float, height_m: float, who: str) -> None:
+    """Refuse a mass and a height that nobody has.
+
+    Raises:
+        InputError: it names `who`, and what is wrong.
+    """
     low, high = HEIGHTS_M
     if not low <= height_m <= high:
         raise InputError(
-            f"subject height_m must lie between {low:g} and {high:g} m, not "
+            f"{who} height_m must lie between {low:g} and {high:g} m, not "
             f"{height_m:g}; give metres"
         )
     low, high = MASSES_KG
     if not low <= mass_kg <= high:
         raise InputError(
-            f"subject mass_kg must lie between {low:g} and {high:g} kg, not "
+            f"{who} mass_kg must lie between {low:g} and {high:g} kg, not "
             f"{mass_kg:g}; give kilograms"
         )
     index = mass_kg / height_m**2
     if not 8.0 <= index <= 100.0:
         raise InputError(
-            f"subject mass_kg {mass_kg:g} and height_m {height_m:g} give a "
+            f"{who} mass_kg {mass_kg:g} and height_m {height_m:g} give a "
             f"body mass index of {index:.1f}, which nobody has; check both"
         )
 

@@ -467,16 +467,18 @@ def report(out: Path, designs: list[StoredDesign], source: Path) -> str:
     # matplotlib takes half a second to load.
     from drake_exo.soles import pictures
 
-    told = [_told(d) for d in designs]
+    summaries = {d.name: d.summary() for d in designs}
+    told = {d.name: _told(d, summaries[d.name]) for d in designs}
     figures = {
-        SOLES: pictures.soles_figure([_drawn(d) for d in designs]),
+        SOLES: pictures.soles_figure(
+            [_drawn(d, summaries[d.name]) for d in designs]
+        ),
         "histories.png": pictures.histories_figure(
             {d.name: d.history() for d in designs}
         ),
     }
     if len(designs) > 1:  # a single design has its own stiffness.png
         figures["stiffness.png"] = _stiffness(designs)
-    summaries = {d.name: d.summary() for d in designs}
     found = {
         d.name: finite_strain.from_json(kept, d.folder / SUMMARY)
         for d in designs
@@ -506,23 +508,23 @@ def _preformatted(text: str) -> str:
     return f"<pre>{html.escape(text)}</pre>"
 
 
-def _told(design: StoredDesign) -> list[str]:
-    """What report.html says of a design's summary.json.
+def _told(design: StoredDesign, row: dict) -> list[str]:
+    """What report.html says of a design by its summary.json.
 
     Raises:
-        InputError: It is missing or damaged.
+        InputError: That is damaged.
     """
-    row = design.summary()
+    path = design.folder / SUMMARY
+    found, mark = stored(row, path), html.escape(stored_mark(row, path))
     try:
-        mark, found = html.escape(stored_mark(row)), stored(row)
-        told = [f'<p class="mark">{mark}</p>'] if mark else []
-        told.append(_preformatted(line(row)))
-        told += [_preformatted(found.text())] if found else []
-    except (AttributeError, InputError, LookupError, TypeError, ValueError):
+        said = line(row)
+    except (AttributeError, LookupError, TypeError, ValueError):
         raise InputError(
-            f"{design.folder / SUMMARY}: is damaged; optimise the sole again"
+            f"{path}: is damaged; optimise the sole again"
         ) from None
-    return told
+    told = [f'<p class="mark">{mark}</p>'] if mark else []
+    told.append(_preformatted(said))
+    return told + ([_preformatted(found.text())] if found else [])
 
 
 def _write_page(
@@ -536,8 +538,8 @@ def _write_page(
     if strains:
         heading = "<h2>Heel strike in finite strain</h2>"
         body += [heading, _preformatted(strains)]
-    for design, texts in zip(designs, told, strict=True):
-        body += [f"<h2>{html.escape(design.name)}</h2>", *texts]
+    for design in designs:
+        body += [f"<h2>{html.escape(design.name)}</h2>", *told[design.name]]
         drawing = design.folder / "drawing.png"
         body += [embedded(drawing, "drawing")] if drawing.is_file() else []
     title = ", ".join(design.name for design in designs)
@@ -547,10 +549,10 @@ def _write_page(
     (out / "report.html").write_text(page, encoding="utf-8")
 
 
-def _drawn(design: StoredDesign):
+def _drawn(design: StoredDesign, row: dict):
     from drake_exo.soles.pictures import radial_change
 
-    row, mesh = design.summary(), design.setup.mesh
+    mesh = design.setup.mesh
     caption = (
         f"c_tr × {row['ratio_tr']:.3f}, c_rot × {row['ratio_rot']:.3f}, "
         f"{row['volume_cm3']:.0f} cm³, "

@@ -193,10 +193,7 @@ def _body(results: Results) -> str | None:
 
 def _check(path: Path, summary: dict[str, Any]) -> None:
     """Refuse a summary that is not as a phase writes it."""
-    try:
-        stored(summary)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    stored(summary, path)
     rows = summary.get("rmsd")
     usual = summary.get("rmsd_uncalibrated", [])
     solves = summary.get("solves", [])

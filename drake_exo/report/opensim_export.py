@@ -414,7 +414,8 @@ def _contact(folder: Path, accept: Sequence[str]) -> tuple[ContactModel, str]:
     found, path = read_calibration(folder), folder / "summary.json"
     said, own = None, Verdict((found.own_check,))
     if path.is_file():
-        said = stored(read_json(path, "run the command that wrote it again"))
+        again = "run the command that wrote it again"
+        said = stored(read_json(path, again), path)
     asked = own if said is None or found.origin is not None else said
     return found.taken(asked.failing, accept), (said or own).mark
 

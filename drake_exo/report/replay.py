@@ -223,7 +223,7 @@ def _replay_design(folder: Path, summary: dict, path: Path) -> None:
     after = read_calibration(folder).contact
     drawn = DrawnModel(design.model(model), after)
     today = DrawnModel(model, read_calibration(folder / TODAY).contact)
-    mark = stored_mark(summary)
+    mark = stored_mark(summary, folder / "summary.json")
     if summary.get("extrapolated"):
         mark = ". ".join(filter(None, (mark, EXTRAPOLATED)))
     trials = [

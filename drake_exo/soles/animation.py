@@ -363,9 +363,5 @@ def _told(folder: Path) -> tuple[str, str]:
     summary = read_json(path, _AGAIN)
     if not isinstance(summary, dict):
         return folder.name, ""
-    try:
-        mark = stored_mark(summary)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    name = summary.get("name")
+    name, mark = summary.get("name"), stored_mark(summary, path)
     return name if isinstance(name, str) else folder.name, mark

@@ -339,10 +339,13 @@ def test_a_damaged_posterior_is_refused(in_device, tmp_path):
         write_contact(tmp_path, replace(in_device.contact, posterior=flat))
         with pytest.raises(InputError, match="not positive"):
             read_calibration(tmp_path)
-    for part in ({"values": np.zeros(1)}, {"names": ("a", "a")}):
+    for part, words in (
+        ({"values": np.zeros(1)}, "sizes of its parts"),
+        ({"names": ("a", "a")}, "names repeat"),
+    ):
         short = replace(known, **part)
         write_contact(tmp_path, replace(in_device.contact, posterior=short))
-        with pytest.raises(InputError, match="sizes of its parts"):
+        with pytest.raises(InputError, match=words):
             read_calibration(tmp_path)
 
 

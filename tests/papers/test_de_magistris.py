@@ -220,7 +220,7 @@ def test_a_page_holds_its_tables_and_pictures(tmp_path, monkeypatch):
     (tmp_path / "soles.png").write_bytes(b"soles")
     tables = tmp_path / "table.txt"
     pictures = [tmp_path / name for name in ("soles.png", "front.png")]
-    told = [paper._told(design) for design in designs]
+    told = {d.name: paper._told(d, d.summary()) for d in designs}
     paper._write_page(tmp_path, designs, told, tables, pictures, "strains")
     page = (tmp_path / "report.html").read_text()
     held = [

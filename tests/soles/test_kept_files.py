@@ -27,6 +27,9 @@ from drake_exo.soles.optimize.optimizer import Optimum
 from drake_exo.soles.results import write_csv
 from drake_exo.soles.simulation import HISTORY
 
+# Of a start whose design has no simulation.
+_FAILED = {"cost": np.inf, "violation": np.inf}
+
 
 def _checkpoint(shift=0.0):
     rng = np.random.default_rng(0)
@@ -34,7 +37,7 @@ def _checkpoint(shift=0.0):
     return Checkpoint(
         2, 7, rng.standard_normal(4) + shift, rng.standard_normal(4),
         rng.standard_normal(3), 1e-5, root @ root.T, 0.875,
-        ({"cost": -0.5, "violation": 0.25},), case="1-Ref",
+        ({"cost": -0.5, "violation": 0.25}, _FAILED), case="1-Ref",
     )  # fmt: skip
 
 
@@ -94,7 +97,7 @@ def test_starts_that_were_interrupted_are_found_by_their_number(tmp_path):
         *(("stage", -1), ("iteration", -1), ("strain_scale", -1)),
         *(("coefficients", [1e31] * 4), ("coefficients", [[1.0]] * 4)),
         *(("latest", [1.0] * 3), ("multipliers", 1.0)),
-        *(("starts", "x"), ("starts", [{"cost": None, "violation": 0.0}])),
+        *(("starts", "x"), ("starts", [{"cost": "x", "violation": 0.0}])),
     ],
 )
 def test_numbers_that_no_run_writes_are_refused(tmp_path, name, value):

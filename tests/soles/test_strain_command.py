@@ -210,9 +210,14 @@ def test_a_changed_table_is_refused(study, tmp_path, change, capsys):
 
 
 @pytest.mark.parametrize(
-    "change", [{"checks": "x"}, {"active": None}, {"finer": {"design": {}}}]
+    ("change", "words"),
+    [
+        ({"checks": "x"}, "checks are not as a command writes them"),
+        ({"active": None}, "is damaged; optimise the sole again"),
+        ({"finer": {"design": {}}}, "is damaged; optimise the sole again"),
+    ],
 )
-def test_a_changed_summary_is_refused(study, tmp_path, change, capsys):
+def test_a_changed_summary_is_refused(study, tmp_path, change, words, capsys):
     folder = tmp_path / "small"
     shutil.copytree(study / "small", folder)
     row = json.loads((folder / "summary.json").read_text()) | change
@@ -220,7 +225,7 @@ def test_a_changed_summary_is_refused(study, tmp_path, change, capsys):
     out = tmp_path / "out"
     assert cli.main(["sole", "report", str(folder), "--out", str(out)]) == 2
     said = capsys.readouterr().err
-    assert "small/summary.json: is damaged; optimise the sole again" in said
+    assert f"small/summary.json: {words}" in said
 
 
 def test_the_start_is_that_of_the_initial_shape(study):

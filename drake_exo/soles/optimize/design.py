@@ -38,7 +38,7 @@ from drake_exo.soles.optimize.files import (
     Checkpoint,
     write_case,
 )
-from drake_exo.soles.optimize.limits import FEASIBLE
+from drake_exo.soles.optimize.limits import FEASIBLE, ROUNDING
 from drake_exo.soles.optimize.optimizer import ITERATION_LIMIT, Optimum
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.results import Step
@@ -48,7 +48,6 @@ from drake_exo.soles.simulation import FIRST_HISTORY, HISTORY
 _ACTIVE = 0.01  # scaled limits below this are active
 _FINER = 0.03  # largest change of c on a finer mesh
 _EXACT = 0.05  # largest change of c by the exact law with all samples
-_ROUNDING = 0.01  # of a limit, which was met by the smoothed law
 
 
 @dataclass
@@ -315,7 +314,7 @@ class Design:
         checks = [
             Check(
                 f"bounds.{what}",
-                bool(sign * (value - limit) <= _ROUNDING * limit + 1e-9),
+                bool(sign * (value - limit) <= ROUNDING * limit + 1e-9),
                 float(value), limit, unit, name,
                 "the design by the exact law is outside the case's limit; "
                 "optimise it longer (resume, iterations)"

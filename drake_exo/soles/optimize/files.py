@@ -78,7 +78,6 @@ class Checkpoint:
             and 0.0 < self.strain_scale < _LARGEST
             and (self.barrier is None or 0.0 < self.barrier < _LARGEST)
             and all((np.abs(x) < _LARGEST).all() for x in numbers)
-            and self.p.ndim == 1
             and self.latest.shape == self.p.shape
             and (self.multipliers is None or self.multipliers.ndim == 1)
             and (self.alone is None or self.alone.ndim == 1)
@@ -143,6 +142,12 @@ def start_folder(out: Path | None, start: int) -> Path | None:
     return None if out is None else out / f"start_{start}"
 
 
+def _start(kept: dict) -> dict:
+    """A start's row; infinite costs, of no simulation, are kept as null."""
+    failed = [key for key in ("cost", "violation") if kept[key] is None]
+    return kept | dict.fromkeys(failed, np.inf)
+
+
 def read_checkpoint(path: Path) -> Checkpoint:
     """Read a checkpoint from its file or folder, with those of its starts.
 
@@ -183,7 +188,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
             optional("barrier", float),
             B + np.tril(B, -1).T,
             float(data.get("strain_scale", 1.0)),
-            tuple(data.get("starts") or ()),
+            tuple(map(_start, data.get("starts") or ())),
             optional("alone", np.array),
             case=str(data.get("case", "")),
             key=str(data.get("key", "")),

@@ -167,8 +167,9 @@ _SURFACE_SHARPNESS = 500.0  # likewise over nodes or faces of the surface
 _DOWNWARDS = 0.5  # normals with more than this downwards are the bottom's
 _TILT_SCALE = 0.06  # 1 − cos 20°
 _DRAFT_SCALE = 0.1  # rad
-# Violation of a scaled limit that counts as none; the final check allows 1 %.
-FEASIBLE = 5e-3
+# Violation of a scaled limit that counts as none, and the share of a limit that
+# final checks allow: it was met by the smoothed law.
+FEASIBLE, ROUNDING = 5e-3, 0.01
 _MET = 10.0  # value of samples without a limit: no share in a soft minimum
 
 
