@@ -171,9 +171,9 @@ def extrapolations(design: Path) -> list[Check]:
     path = design / "summary.json"
     if not path.is_file():  # a design.yaml alone
         return []
-    verdict = stored(read_json(path, "run design again"), path)
-    checks = verdict.checks if verdict else ()
-    return [c for c in checks if c.name == "design.extrapolation"]
+    found = read_json(path, "run design again")
+    verdict = stored(found, path) or Verdict(())
+    return [c for c in verdict.checks if c.name == "design.extrapolation"]
 
 
 def write_predictions(

@@ -706,7 +706,7 @@ def _draw_mark(figure: Figure, mark: str) -> None:
 
 
 def stored_mark(
-    summary: Mapping[str, Any], path: Path | str = "summary.json"
+    summary: Mapping[str, Any], path: str | Path = "summary.json"
 ) -> str:
     """The mark of a stored result by its summary.json; empty if it holds.
 
@@ -718,15 +718,17 @@ def stored_mark(
     return found.mark
 
 
-def stored(
-    summary: Mapping[str, Any], path: Path | str = "summary.json"
-) -> Verdict | None:
+def stored(summary: Any, path: str | Path = "summary.json") -> Verdict | None:
     """The verdict in a summary.json; None if the summary has no checks.
+
+    Args:
+        summary: what the file holds.
+        path: the file, for messages.
 
     Raises:
         InputError: its checks are damaged; names `path`.
     """
-    if "checks" not in summary:
+    if isinstance(summary, Mapping) and "checks" not in summary:
         return None
     try:
         rows = [Check(**row) for row in summary["checks"]]

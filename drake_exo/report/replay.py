@@ -219,11 +219,24 @@ def _replay_design(folder: Path, summary: dict, path: Path) -> None:
         raise InputError(
             f"{folder}: holds no solved design to replay; see its summary.json"
         )
+    told = folder / "summary.json"
+    mark = stored_mark(summary, told)
+    for key in ("subjects", "trials"):
+        names = summary.get(key)
+        if not (
+            isinstance(names, list)
+            and names
+            and all(isinstance(name, str) for name in names)
+        ):
+            raise InputError(
+                f"{told}: {key} is no list of names; run the command that "
+                "wrote it again"
+            )
     model, design = read_model(folder), read_design(folder)
+    design.check(model)
     after = read_calibration(folder).contact
     drawn = DrawnModel(design.model(model), after)
     today = DrawnModel(model, read_calibration(folder / TODAY).contact)
-    mark = stored_mark(summary, folder / "summary.json")
     if summary.get("extrapolated"):
         mark = ". ".join(filter(None, (mark, EXTRAPOLATED)))
     trials = [
@@ -240,7 +253,7 @@ def _replay_design(folder: Path, summary: dict, path: Path) -> None:
         )
         for name in summary["trials"]
     ]
-    who = str(summary["subjects"][0]).replace("_", " ")
+    who = summary["subjects"][0].replace("_", " ")
     # The model of today has the cuffs that the design leaves out.
     write_replay(path, model, trials, f"Design for {who}", "today")
 

@@ -363,5 +363,5 @@ def _told(folder: Path) -> tuple[str, str]:
     summary = read_json(path, _AGAIN)
     if not isinstance(summary, dict):
         return folder.name, ""
-    name, mark = summary.get("name"), stored_mark(summary, path)
+    mark, name = stored_mark(summary, path), summary.get("name")
     return name if isinstance(name, str) else folder.name, mark

@@ -208,6 +208,10 @@ def test_a_prediction_remarks_that_its_design_is_an_extrapolation(tmp_path):
     summary = Verdict((far, near)).summary()
     write_json(tmp_path / "summary.json", summary)
     assert extrapolations(tmp_path) == [far]
+    for damaged in (3, None, {"checks": 3}):
+        write_json(tmp_path / "summary.json", damaged)
+        with pytest.raises(InputError, match=r"summary\.json: checks are not"):
+            extrapolations(tmp_path)
 
 
 @pytest.mark.parametrize(

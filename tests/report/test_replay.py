@@ -308,6 +308,27 @@ def test_a_cuff_that_a_design_leaves_out_pushes_today(tmp_path):
     assert "shank_measured" in data["clips"][0]["arrows"]
 
 
+@pytest.mark.parametrize(
+    ("design", "changed", "words"),
+    [
+        (Design(), {"subjects": []}, r"summary\.json: subjects is no list"),
+        (Design(), {"trials": [3]}, r"summary\.json: trials is no list"),
+        (Design(), {"checks": 3}, r"summary\.json: checks are not as"),
+        (Design({"foot": CuffDesign()}), {}, r"design\.yaml: cuffs\.foot"),
+    ],
+)
+def test_damaged_results_of_a_design_are_refused(
+    design, changed, words, tmp_path
+):
+    write_design(tmp_path, design)
+    write_model(tmp_path, COUPLED)
+    summary = {"phase": "design", "success": True}
+    summary |= {"subjects": ["a"], "trials": ["b"]}
+    write_json(tmp_path / "summary.json", summary | changed)
+    with pytest.raises(InputError, match=words):
+        replay_results(tmp_path, tmp_path / "page.html")
+
+
 def test_motion_is_sampled_between_nodes():
     half = solution().sample(np.array([0.005]))
     np.testing.assert_allclose(half.ground.array[0], [0.25, 4.0, -1.4])
