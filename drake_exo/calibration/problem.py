@@ -5,6 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -712,6 +713,22 @@ class PhaseProblem(Compiles, ABC):
         )
 
 
+def check_distinct(trials: Sequence[Trial]) -> None:
+    """Refuse trials of which two are the same movement.
+
+    Raises:
+        InputError: it names the two.
+    """
+    for trial, other in combinations(trials, 2):
+        if np.array_equal(trial.q, other.q) and np.array_equal(
+            trial.ground.array, other.ground.array
+        ):
+            raise InputError(
+                f"trials {trial.name} and {other.name} are the same part of a "
+                "recording, which would count twice; leave one out"
+            )
+
+
 def _check_trials(
     trials: list[Trial], model: Model, nodes_per_second: float
 ) -> None:
@@ -724,15 +741,8 @@ def _check_trials(
             segment that the model lacks, or lacks the force under a foot.
     """
     own = model.coordinates
-    for k, trial in enumerate(trials):
-        for other in trials[:k]:
-            if np.array_equal(trial.q, other.q) and np.array_equal(
-                trial.ground.array, other.ground.array
-            ):
-                raise InputError(
-                    f"trials {other.name} and {trial.name} are the same part "
-                    "of a recording, which would count twice; leave one out"
-                )
+    check_distinct(trials)
+    for trial in trials:
         check_coordinates(trial, own)
         if trial.times[0] != 0.0:
             raise InputError(

@@ -14,7 +14,7 @@ import numpy as np
 
 from drake_exo.calibration.clocks import Clock, clock_checks
 from drake_exo.calibration.phases import check_has_cuffs, check_is_measured
-from drake_exo.calibration.problem import has_encoders
+from drake_exo.calibration.problem import check_distinct, has_encoders
 from drake_exo.cli.calibrate import add_study_arguments
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
@@ -53,6 +53,7 @@ def run(args: argparse.Namespace) -> int:
             "to leave out; give at least two"
         )
     check_is_measured(trials)
+    check_distinct(trials)
     told = [t.name for t in trials if has_encoders(t)]
     with_mats = Counter(cuff for t in trials for cuff in t.cuffs)
     # The only trial with encoders stays: without it nothing is calibrated.

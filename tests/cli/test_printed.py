@@ -44,10 +44,14 @@ def test_sensitivity_tells_the_strongest_parts(capsys):
 @pytest.fixture
 def left_out(monkeypatch):
     """Cross-validation of three trials whose folds are as they are put."""
+    ground = SimpleNamespace(array=[0.0])
     trials = [
-        SimpleNamespace(name=n, cuffs=["pelvis"], provenance={"encoders": n})
+        SimpleNamespace(
+            name=n, cuffs=["pelvis"], provenance={"encoders": n}, q=n,
+            ground=ground,
+        )
         for n in "abc"
-    ]
+    ]  # fmt: skip
     trials[2].cuffs.append("thigh")
     study = SimpleNamespace(
         model=None,
@@ -103,6 +107,13 @@ def test_the_only_trial_with_encoders_is_not_left_out(
         trial.cuffs = []
     with pytest.raises(InputError, match="no trial that can be left out has"):
         left_out(tmp_path / "none")
+
+
+def test_a_copy_of_a_trial_is_refused_before_any_fold(left_out, tmp_path):
+    """Left out, a trial would be calibrated on by its copy."""
+    left_out.trials[2].q = left_out.trials[0].q
+    with pytest.raises(InputError, match="a and c are the same part of"):
+        left_out(tmp_path / "copy")
 
 
 def test_crossvalidation_goes_over_all_unless_it_is_stopped(left_out, tmp_path):
