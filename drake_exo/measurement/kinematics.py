@@ -28,7 +28,7 @@ from drake_exo.files.output import Progress
 from drake_exo.files.tables import MarkerData
 from drake_exo.measurement.filters import derivatives, minimum_jerk
 from drake_exo.measurement.sagittal import Axes, PlanarWrench
-from drake_exo.measurement.settings import Load, Markers
+from drake_exo.measurement.settings import Load, Markers, SidedMarkers
 from drake_exo.model.assembly import SIDES
 from drake_exo.model.planar_tree import PlanarTree
 from drake_exo.model.plant import Model
@@ -40,6 +40,8 @@ LEG = ("thigh", "shank", "foot", "toes")
 # Posture 31, 2010). With equal weights, skin that slides on the shank would
 # turn the foot by two degrees.
 _RIGID = 100.0
+# Legs stand further apart than this from side to side, but not fore and aft.
+_APART_M = 0.05
 # The joint at the origin of each segment of a leg.
 _ORIGIN = {"thigh": "knee", "shank": "ankle", "foot": "ankle", "toes": "ball"}
 
@@ -154,11 +156,14 @@ def build_marker_model(
         welded: feet that a device is welded to; their markers do not slide.
 
     Raises:
-        InputError: a marker is missing or has gaps, no leg is complete, or
-            the set cannot determine a segment's angle.
+        InputError: a marker is missing or has gaps, no leg is complete, left
+            and right are not the same throughout, or the set cannot determine
+            a segment's angle.
     """
     leg = LEG if ball_m else LEG[:-1]
     sides = _complete_sides(markers, standing.source, leg)
+    if len(sides) == 2:
+        _check_sides(markers, standing, axes)
     centres = {
         side: {
             joint: _mean_point(
@@ -248,6 +253,29 @@ def _complete_sides(markers: Markers, source: str, leg) -> tuple[str, ...]:
             "markers.joint_centres and markers.segments for one side"
         )
     return sides
+
+
+def _check_sides(markers: Markers, standing: MarkerData, axes: Axes) -> None:
+    """Refuse joint centres and segments whose sides are not those of feet."""
+
+    def apart(own: SidedMarkers) -> float:
+        left, right = (
+            axes.space(standing.of(own.of(side)))[..., 1].mean()
+            for side in SIDES
+        )
+        return left - right
+
+    feet = apart(markers.segments.foot)
+    groups = {"joint_centres": LEG_JOINTS, "segments": ("shank", "thigh")}
+    for group, parts in groups.items():
+        for part in parts:
+            own = getattr(getattr(markers, group), part)
+            if apart(own) * feet < -(_APART_M**2):
+                raise InputError(
+                    f"{standing.source}: left and right of markers.{group}."
+                    f"{part} are not those of markers.segments.foot; exchange "
+                    "them in one of the two"
+                )
 
 
 def _mean_point(data: MarkerData, names, axes: Axes) -> complex:

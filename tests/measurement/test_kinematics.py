@@ -178,6 +178,22 @@ def refusal(tree, human, markers, frame=FRAME):
     return str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("group", "part"), [("joint_centres", "knee"), ("segments", "thigh")]
+)
+def test_sides_that_are_exchanged_in_a_part_are_refused(
+    tree, human, markers, group, part
+):
+    """Angles were off by 3 degrees, and no check told."""
+    parts = getattr(markers, group)
+    own = getattr(parts, part)
+    other = replace(own, left=own.right, right=own.left)
+    off = replace(markers, **{group: replace(parts, **{part: other})})
+    assert f"left and right of markers.{group}.{part}" in refusal(
+        tree, human, off
+    )
+
+
 def test_axes_that_are_not_the_files_are_named(tree, human, markers):
     lies = Axes("x", "z")
     assert "marker_axes say is up" in refusal(tree, human, markers, lies)
