@@ -324,6 +324,9 @@ class JointCentres:
     knee: SidedMarkers
     hip: SidedMarkers
 
+    def __post_init__(self):
+        _no_middle(self, ("ankle", "knee", "hip"))
+
 
 @dataclass(frozen=True)
 class SegmentMarkers:
@@ -338,6 +341,19 @@ class SegmentMarkers:
     thigh: SidedMarkers
     pelvis: SidedMarkers
     toes: SidedMarkers = SidedMarkers()
+
+    def __post_init__(self):
+        _no_middle(self, ("foot", "shank", "thigh", "toes"))
+
+
+def _no_middle(parts: object, names: Sequence[str]) -> None:
+    """Refuse markers on the midline of what has two sides."""
+    for name in names:
+        if getattr(parts, name).middle:
+            raise InputError(
+                f"{name} has markers in the middle, which nothing follows; "
+                "only the pelvis may; name them left or right"
+            )
 
 
 @dataclass(frozen=True)

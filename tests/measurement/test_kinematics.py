@@ -194,6 +194,17 @@ def test_sides_that_are_exchanged_in_a_part_are_refused(
     )
 
 
+@pytest.mark.parametrize(
+    ("group", "part"), [("joint_centres", "hip"), ("segments", "foot")]
+)
+def test_only_the_pelvis_has_markers_in_the_middle(markers, group, part):
+    """Nothing followed those of other parts, and nothing said so."""
+    parts = getattr(markers, group)
+    own = replace(getattr(parts, part), middle=("SACR",))
+    with pytest.raises(InputError, match=f"{part} has markers in the middle"):
+        replace(parts, **{part: own})
+
+
 def test_axes_that_are_not_the_files_are_named(tree, human, markers):
     lies = Axes("x", "z")
     assert "marker_axes say is up" in refusal(tree, human, markers, lies)
