@@ -119,6 +119,20 @@ def test_a_design_stays_where_it_is_interrupted_between_parts(monkeypatch):
     assert made.stopped and made.parts == {"nothing": 2.0, "all": 2.0}
 
 
+@pytest.mark.parametrize(
+    ("cls", "text", "words"),
+    [
+        (Design, "cuffs: {thigh: {along_m: 20}}", "along_m is 20"),
+        (Design, "joints: {exo_knee: {across_m: -9}}", "across_m is -9"),
+        (DesignSettings, "joints: {exo_knee: {along_m: [0, 5]}}", "1] is 5"),
+    ],
+)
+def test_shifts_in_millimetres_are_told_with_their_line(cls, text, words):
+    """Only the device that was made with them was refused."""
+    with pytest.raises(InputError, match=f"<text>:1: .*{words}, .*1 m"):
+        schema.load_text(text, cls)
+
+
 def test_what_cannot_change_is_no_part(monkeypatch):
     """Such as the torques of a device that nothing drives."""
     monkeypatch.setattr(

@@ -27,6 +27,7 @@ from drake_exo.contact.parameters import (
 from drake_exo.contact.strap import (
     PLACES,
     RELEASES,
+    SHIFT,
     SOFTEST_N_M,
     SOFTEST_NM_RAD,
 )
@@ -708,10 +709,10 @@ class CuffFreedom:
     (0.0, 0.0)
     """
 
-    along_m: tuple[float, float] = quantity("m", (-0.1, 0.1))
-    across_m: tuple[float, float] = quantity("m", (0.0, 0.0))
-    preload_across_m: tuple[float, float] = quantity("m", (0.0, 0.0))
-    preload_along_m: tuple[float, float] = quantity("m", (0.0, 0.0))
+    along_m: tuple[float, float] = quantity("m", (-0.1, 0.1), **SHIFT)
+    across_m: tuple[float, float] = quantity("m", (0.0, 0.0), **SHIFT)
+    preload_across_m: tuple[float, float] = quantity("m", (0.0, 0.0), **SHIFT)
+    preload_along_m: tuple[float, float] = quantity("m", (0.0, 0.0), **SHIFT)
     strap_n_m: float | None = quantity("N/m", SOFTEST_N_M, minimum=SOFTEST_N_M)
     strap_nm_rad: float | None = quantity(
         "N m/rad", SOFTEST_NM_RAD, minimum=SOFTEST_NM_RAD
@@ -738,8 +739,8 @@ class JointFreedom:
     (0.0, 0.0)
     """
 
-    along_m: tuple[float, float] = quantity("m", (0.0, 0.0))
-    across_m: tuple[float, float] = quantity("m", (0.0, 0.0))
+    along_m: tuple[float, float] = quantity("m", (0.0, 0.0), **SHIFT)
+    across_m: tuple[float, float] = quantity("m", (0.0, 0.0), **SHIFT)
 
     def __post_init__(self):
         _check_today(self, ("along_m", "across_m"))

@@ -233,6 +233,8 @@ __getattr__ = made_on_demand(globals())
 DESIGN = "design.yaml"
 TODAY = "today"  # folder beside it, with the contact before the design
 EXTRAPOLATED = "EXTRAPOLATED beyond what was calibrated"
+# Bounds of how far a cuff or joint moves [m]; more is not given in metres.
+SHIFT = {"minimum": -1.0, "maximum": 1.0}
 # Lower bounds of a strap's stiffness; softer, a cuff no longer holds a limb.
 SOFTEST_N_M = 1000.0
 SOFTEST_NM_RAD = 5.0
@@ -288,10 +290,10 @@ class CuffDesign:
     """
 
     removed: bool = False
-    along_m: float = quantity("m", 0.0)
-    across_m: float = quantity("m", 0.0)
-    preload_along_m: float = quantity("m", 0.0)
-    preload_across_m: float = quantity("m", 0.0)
+    along_m: float = quantity("m", 0.0, **SHIFT)
+    across_m: float = quantity("m", 0.0, **SHIFT)
+    preload_along_m: float = quantity("m", 0.0, **SHIFT)
+    preload_across_m: float = quantity("m", 0.0, **SHIFT)
     area: float = quantity("1", 1.0, above=0.0)
     slide: float = quantity("1", 0.0, minimum=0.0, maximum=1.0)
     hinge: float = quantity("1", 0.0, minimum=0.0, maximum=1.0)
@@ -331,8 +333,8 @@ class JointDesign:
             that is above moves with it.
     """
 
-    along_m: float = quantity("m", 0.0)
-    across_m: float = quantity("m", 0.0)
+    along_m: float = quantity("m", 0.0, **SHIFT)
+    across_m: float = quantity("m", 0.0, **SHIFT)
 
 
 @dataclass(frozen=True)
