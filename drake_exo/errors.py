@@ -68,7 +68,8 @@ def check_bounds(
         raise InputError(f"{where} is {found}, but must be a finite number")
     for key, holds, words in _BOUNDS:
         if key in metadata and not holds(value, metadata[key]):
-            bound = f"{metadata[key]:g} {unit or ''}".rstrip()
+            of = f" {unit}" if unit and unit != "1" else ""
+            bound = f"{metadata[key]:g}{of}"
             raise InputError(f"{where} is {found}, but must be {words} {bound}")
 
 

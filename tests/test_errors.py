@@ -74,7 +74,7 @@ def test_other_values_are_refused_in_a_sentence(value, sentence):
 
 
 def test_exclusive_and_inclusive_bounds_differ():
-    share = {"minimum": 0.0, "below": 1.0}
+    share = {"unit": "1", "minimum": 0.0, "below": 1.0}
     check_bounds("share", 0.0, share)
     with pytest.raises(InputError, match=r"share is 1, but must be below 1$"):
         check_bounds("share", 1.0, share)
