@@ -138,7 +138,7 @@ class SparseProgram:
         """Whether the curvature of a block may enter the Hessian."""
         kernel = block.batch.kernel
         if self.exact_hessian:
-            return not hasattr(kernel, "A")
+            return not hasattr(kernel, "A") and bool(block.bent.any())
         # A constraint that a user adds may be curved in any way.
         return _bends(kernel) or isinstance(kernel, BindingKernel)
 

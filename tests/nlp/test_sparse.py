@@ -153,6 +153,28 @@ def test_exact_hessian_equals_differences_of_the_gradient():
     np.testing.assert_allclose(found, expected, atol=2e-5)
 
 
+def test_a_kernel_without_curved_inputs_adds_nothing_to_the_hessian():
+    """A controller: differences of its derivatives would take too long."""
+
+    class Straight(_Curve):
+        curved_inputs = np.zeros(3, bool)
+
+    found = []
+    for kernels in ([_Curve()], [_Curve(), Straight()]):
+        program = BatchedProgram()
+        x = program.prog.NewContinuousVariables(3 * _N, "x").reshape(_N, 3)
+        for k, kernel in enumerate(kernels):
+            data = np.full((_N, 1), 0.3)
+            program.add_constraints(f"curve {k}", kernel, x, data=data)
+        problem = SparseProgram(program, exact_hessian=True)
+        y = _point(problem)
+        multipliers = np.linspace(-1.0, 2.0, 2 * _N)
+        multipliers = np.r_[multipliers, np.ones(2 * _N * (len(kernels) - 1))]
+        found.append(_dense_hessian(problem, y, multipliers, 1.0))
+    assert np.abs(found[0]).max() > 0.1
+    np.testing.assert_array_equal(found[0], found[1])
+
+
 def test_gauss_newton_hessian_is_the_residuals_jacobian_squared():
     program = BatchedProgram()
     x = program.prog.NewContinuousVariables(3 * _N, "x").reshape(_N, 3)
