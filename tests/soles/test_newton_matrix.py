@@ -237,6 +237,18 @@ def test_sweeps_without_a_budget_have_not_settled(monkeypatch):
     assert not report.converged and "did not settle" in report.message
 
 
+@pytest.mark.parametrize("kind", [ContactSolver, GaussSeidelSolver])
+def test_a_sole_in_the_air_is_not_solved(kind):
+    """No step of the pose is determined there, and that is told."""
+    solver = kind.of(SOLE, ContactLaw(0.5, SOLE.penalty))
+    places = solver.lP + np.array([0.0, 0.0, 0.04])
+    state = State(0.0 * places, np.array([0.0, 0.0, 0.04]), np.eye(3))
+    target = Target(np.array([0.0, 0.0, 200.0]), np.zeros(2), places)
+    report = solver.solve(state, target)[1]
+    assert not report.converged
+    assert "singular Newton matrix with 0 nodes" in report.message
+
+
 def test_moments_count_over_50_mm():
     wrench = np.array([1.0, -3.0, 2.0, 0.1, -0.2, 0.05])
     assert wrench_size(wrench) == pytest.approx(4.0)

@@ -6,6 +6,8 @@ equations with (21). Sweeps stop early by the relaxation (25). Kept as the
 faithful reference; `newton.ContactSolver` is the default.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from drake_exo.soles.contact.law import FLAT, Ground, project_node
@@ -69,7 +71,11 @@ class GaussSeidelSolver(ContactSolver):
             if done:
                 need = self.sweep_tolerance
                 continue
-            self._pose_step(state, point, target)
+            try:
+                self._pose_step(state, point, target)
+            except np.linalg.LinAlgError as error:
+                said = str(error)
+                return state, Convergence(False, iteration, need, said)
         return state, Convergence(
             False, _POSE_STEPS, need, "pose Newton did not settle"
         )
@@ -94,13 +100,13 @@ class GaussSeidelSolver(ContactSolver):
 
     def _pose_step(self, state, point, target) -> None:
         """Take the Newton step (24) of the pose; forces follow in sweeps."""
-        lin = self._linearisation(point)
-        turn = target.turn(self.ground, state.R, self.lP[lin.nodes])
-        dF, dp = lin.solve(0.0 * lin.F, point.wrench, target.asked, turn)
+        # The sweeps have solved the law: the wrench alone is missed.
+        solved = replace(point, phi=np.zeros_like(point.phi))
+        dF, dp = self._direction(solved, target)
         step = capped(dp, 0.15, 0.01)
         new = move(state, np.zeros_like(state.F), step * dp, target.point)
         # The linearisation's forces are the next sweeps' start.
-        new.F[lin.nodes] += step * dF
+        new.F += step * dF
         normal = (point.axes[:, 2] * new.F).sum(axis=1)
         new.F[normal < 0] = 0.0
         state.F, state.O, state.R = new.F, new.O, new.R
