@@ -87,6 +87,12 @@ class Robot:
                 "pattern: double_support_s must be above 0 and below "
                 "step_time_s"
             )
+        if "zmp" in self.free and self.torque_weight == 0.0:
+            raise InputError(
+                "pattern.free: zmp is sought by the place that the ZMP is "
+                "drawn to, and how strongly, but torque_weight is 0; give one "
+                "above 0, or leave zmp out"
+            )
         low, high = self.bounds
         if not (low < high).all():
             raise InputError(

@@ -251,3 +251,11 @@ def test_a_walk_of_several_loads_is_refused(tmp_path, capsys):
     two = _case().replace("load: ", f"loads:\n  - {other}\n  - ")
     with pytest.raises(InputError, match=r"loads\[1\]\.pattern\.free: a walk"):
         Case.from_text(two)
+
+
+def test_a_zmp_that_nothing_draws_cannot_be_sought():
+    """Without a weight the range of how strongly it is drawn is empty."""
+    text = _case().replace("{free:", "{torque_weight: 0, free:")
+    with pytest.raises(InputError, match=r"free: zmp .* torque_weight is 0"):
+        Case.from_text(text)
+    assert Case.from_text(text.replace(", zmp]", "]")).gait.start.size == 3
