@@ -139,7 +139,13 @@ class Robot:
 
     def load(self, root: Path | None = None) -> Load:
         """Plan the step and return the right foot's load."""
-        return plan(self).foot_load()
+        load = plan(self).foot_load()
+        if self.free and len(load.times) < 2:
+            raise InputError(
+                "pattern.free: a walk is sought over two samples or more, and "
+                "this one has one; give a smaller period_s or first_s"
+            )
+        return load
 
 
 def _rectangle(places: np.ndarray) -> list[float]:

@@ -259,3 +259,13 @@ def test_a_zmp_that_nothing_draws_cannot_be_sought():
     with pytest.raises(InputError, match=r"free: zmp .* torque_weight is 0"):
         Case.from_text(text)
     assert Case.from_text(text.replace(", zmp]", "]")).gait.start.size == 3
+
+
+def test_a_walk_of_one_sample_cannot_be_sought():
+    """How long its foot is loaded is told by the first and the last."""
+    text = _case().replace("{free:", "{period_s: 0.7, free:")
+    with pytest.raises(InputError, match=r"free: .* two samples or more"):
+        Case.from_text(text)
+    still = text[: text.index(", free:")] + "}}\n"
+    still += text[text.index("optimize:") :]
+    assert len(Case.from_text(still).load.times) == 1
