@@ -51,12 +51,23 @@ def test_limits_are_those_of_the_case(case):
     settings = replace(
         case.settings, optimize=replace(block, shape=shape), cost=cost
     )
-    limits = limits_of(settings)
+    limits = limits_of(settings, case.load)
     assert limits.pop("volume") == pytest.approx(0.8 / 1230.0)
     assert limits == {
         "stability": 7.0, "tilt_deg": 8.0, "strain": 0.09, "c_rot": 10.0,
         "depth": 0.011, "height": 0.12, "draft_deg": 1.3,
     }  # fmt: skip
+
+
+def test_a_pose_that_is_held_has_no_limit_on_tilt_and_stability(case):
+    """Whether the load is a recording's or put into the case in Python."""
+    rotation = np.tile(np.eye(3), (len(case.load.times), 1, 1))
+    held = replace(case.load, rotation=rotation)
+    assert {"tilt_deg", "stability"} <= set(limits_of(case.settings, case.load))
+    problem = ShapeProblem(
+        replace(case, load=held), case.settings.optimize.stages[0]
+    )
+    assert not {"tilt_deg", "stability"} & set(problem.names())
 
 
 def test_stages_are_bricks_in_the_own_box(case):

@@ -198,8 +198,8 @@ class Evaluation:
 # Each limit returns its scaled value and a function that makes a `Derivative`.
 
 
-def limits_of(settings: Settings) -> dict[str, float]:
-    """The case's limits that are not switched off, by name.
+def limits_of(settings: Settings, load: Load) -> dict[str, float]:
+    """The case's limits that are not switched off and hold for a load, by name.
 
     Largest volume [m³], strain (its p-norm), tilt_deg and height of the bare
     surface [m]; least `stability` (scaled eigenvalue) [N/m], c_rot [N·m/rad],
@@ -209,7 +209,7 @@ def limits_of(settings: Settings) -> dict[str, float]:
     block, shape = settings.optimize, settings.optimize.shape
     density = settings.material.material().density_kg_per_m3
     # A pose that is prescribed does not tip, and no shape changes it.
-    held = all(block.pose == "measured" for block in settings.all_loads)
+    held = bool(load.is_measured.all())
     every = {
         "volume": settings.cost.mass_limit_kg / density,
         "stability": None if held else block.stability_n_per_m,

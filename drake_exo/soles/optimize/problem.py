@@ -75,7 +75,8 @@ class ShapeProblem:
         self.spline, self.stage = setup.spline(), stage
         mesh = stage_mesh(setup.mesh, stage)
         self.finer = finer_mesh(setup.mesh, stage)
-        self.load, self.limits = setup.load, limits_of(setup.settings)
+        self.load = setup.load
+        self.limits = limits_of(setup.settings, setup.load)
         self.gait = setup.gait
         self._own_walk = self.gait.start if self.gait else np.zeros(0)
         block, cost = self.settings.optimize, self.settings.cost
