@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from drake_exo.errors import InputError, check_type, path_of
 from drake_exo.files import schema
 from drake_exo.soles.mesh import TetMesh, check_mesh
@@ -123,10 +125,12 @@ class Case(Setup):
                 process does all of it.
 
         Raises:
-            InputError: The checkpoint is damaged or of another case; or the
-                load cannot be carried, as in `simulate`.
+            InputError: The checkpoint is damaged or of another case; the load
+                cannot be carried, as in `simulate`; or a walk is sought and
+                the load is not its own.
         """
         self._check()
+        self._check_walk()
         if not isinstance(resume, Checkpoint | None):
             resume = read_checkpoint(path_of(resume, "resume"))
         if resume is not None and resume.case not in ("", self.name):
@@ -150,3 +154,19 @@ class Case(Setup):
         check_type(self.mesh, TetMesh, "mesh")
         check_mesh(self.mesh, "mesh")
         self.check_load()
+
+    def _check_walk(self) -> None:
+        """Refuse a load that is not of the walk that is sought with it."""
+        if self.gait is None:
+            return
+        own, load = self.gait.load(self.gait.start), self.load
+        near = 1e-6 * own.largest_force
+        if own.force.shape != load.force.shape or not (
+            np.allclose(own.force, load.force, rtol=0.0, atol=near)
+            and np.allclose(own.zmp, load.zmp, rtol=0.0, atol=1e-6)
+        ):
+            raise InputError(
+                f"{load.name}: is not the load of the walk that is sought "
+                "(load.pattern.free); leave free out of the case for a load "
+                "of your own"
+            )

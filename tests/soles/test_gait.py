@@ -1,6 +1,7 @@
 """A walk and its sole: the walk's derivatives, limits, and the search."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -269,3 +270,14 @@ def test_a_walk_of_one_sample_cannot_be_sought():
     still = text[: text.index(", free:")] + "}}\n"
     still += text[text.index("optimize:") :]
     assert len(Case.from_text(still).load.times) == 1
+
+
+def test_a_load_of_another_walk_cannot_be_sought():
+    """Put in by Python: the search would have sought the pattern's."""
+    case = Case.from_text(_case())
+    for other in (case.load.every(9), Robot(mass_kg=81.0).load()):
+        with pytest.raises(InputError, match="is not the load of the walk"):
+            replace(case, load=other).optimize()
+    case._check_walk()
+    step = replace(case, load=case.load.every(9)).simulate()
+    assert step.failed_steps == 0
