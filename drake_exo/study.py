@@ -1076,12 +1076,13 @@ def predict(
             joints (study's `device`) following the predicted movement.
         folder, resume: see `calibrate_foot_ground`.
         near: prediction of the same trial with another contact, from which to
-            start; by default the start is that of the settings.
+            start; by default the start is that of the settings. Both have the
+            same nodes_per_second.
         clocks: the trial's, among others; found by `find_clocks` by default.
 
     Raises:
-        InputError: the contact lacks the model's cuffs, or trial, settings or
-            controller are faulty.
+        InputError: the contact lacks the model's cuffs, or trial, settings,
+            controller or `near` are faulty.
 
     >>> from drake_exo.virtual_laboratory import synthetic
     >>> made = synthetic.rises_in_device(1, nodes_per_second=40)
@@ -1113,6 +1114,8 @@ def predict(
     settings = schema.checked(
         settings, PredictionSettings, "settings", study.prediction
     )
+    if near is not None:
+        _check_near(near, trial, settings)
     kind = PeriodicStep if settings.ends == "periodic" else PredictionProblem
     answers = {trial.name: springs_answer(trial, study.device)}
     pose = partial(
@@ -1124,6 +1127,31 @@ def predict(
     start = None if near is None else near.result
     result = solve(pose, f"predict {trial.name}", folder, resume, start)
     return _prediction(result, own)
+
+
+def _check_near(
+    near: Prediction, trial: Trial, settings: PredictionSettings
+) -> None:
+    """Refuse a start whose refined grid belongs to other intervals."""
+    if near.coordinates != trial.coordinates:
+        raise InputError(
+            f"near has the coordinates {', '.join(near.coordinates.names)}, "
+            f"but trial {trial.name} has {', '.join(trial.coordinates.names)}; "
+            "give a prediction of the same trial"
+        )
+    own = settings.solver.nodes_per_second
+    rate = near.result.problem.settings.solver.nodes_per_second
+    if rate != own:
+        raise InputError(
+            f"near was solved with {rate:g} nodes_per_second, but the settings "
+            f"say {own:g}; solve both with the same"
+        )
+    (posed,) = near.result.problem.trials
+    if posed.duration != trial.duration:
+        raise InputError(
+            f"near lasts {posed.duration:g} s, but trial {trial.name} "
+            f"{trial.duration:g} s; give a prediction of the same trial"
+        )
 
 
 def _prediction(

@@ -296,6 +296,20 @@ def test_trials_that_are_none_are_told(study, made, change, words):
         dx.predict(study, wrong, made.contact)
 
 
+def test_a_start_near_something_else_is_told(study, made, found):
+    """Its refined grid has other intervals."""
+    [trial] = made.trials
+    coarse = dx.PredictionSettings(solver=dx.settings.Solver(50.0))
+    with pytest.raises(dx.InputError, match="with 200 nodes_per_second, but"):
+        dx.predict(study, trial, made.contact, near=found, settings=coarse)
+    cut = trial.sample(trial.times[trial.times < 1.0])
+    with pytest.raises(dx.InputError, match=r"near lasts 1\.5 s, but"):
+        dx.predict(study, cut, made.contact, near=found)
+    bare, [rise] = dx.synthetic.rises_on_spheres(1, nodes_per_second=40)
+    with pytest.raises(dx.InputError, match="near has the coordinates"):
+        dx.predict(dx.Study(bare, [rise]), rise, made.contact, near=found)
+
+
 def test_input_of_the_api_is_told(study, made):
     [trial] = made.trials
     _, [alone] = dx.synthetic.rises_on_spheres(1, nodes_per_second=40)
