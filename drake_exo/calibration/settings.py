@@ -373,7 +373,16 @@ class FootGroundSettings:
 
         Args:
             places: sphere -> the model's centre (x, z) in the foot frame [m].
+
+        Raises:
+            InputError: the law is a sole's.
         """
+        if self.of_sole:
+            raise InputError(
+                f"law is {str(self.law)!r}, a sole's, and nothing of it is "
+                "calibrated; give ground, as of "
+                "drake_exo.contact.SoleLaw.read(...).ground(model)"
+            )
         found = [
             p
             for name, place in places.items()

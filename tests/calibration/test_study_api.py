@@ -390,6 +390,16 @@ def test_a_sole_s_law_predicts_as_its_spheres_do(worn, cuffs, found):
     )
 
 
+def test_a_sole_s_law_is_not_in_its_settings(worn, made):
+    """A problem that is posed without a study needs it, too."""
+    with pytest.raises(dx.InputError, match="a sole's, and nothing of it is"):
+        dx.FootGroundCalibration(made.model, made.trials, worn.foot_ground)
+    posed = dx.FootGroundCalibration(
+        made.model, made.trials, worn.foot_ground, ground=worn.ground
+    )
+    assert posed.contact.ground == worn.ground
+
+
 def test_a_law_that_is_off_its_sole_is_noted(worn):
     assert [c.holds for c in worn.gate()] == [True] * 4
     far = replace(worn.sole, force_error_rms=0.031, cop_error_rms_m=1.9e-3)
