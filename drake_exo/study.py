@@ -1099,8 +1099,13 @@ def predict(
             f"model '{study.model.name}' has no cuffs; leave it out"
         )
     study.warn_of(_given([trial]))
+    # Refused before the clocks are sought, which takes a solve.
+    settings = schema.checked(
+        settings, PredictionSettings, "settings", study.prediction
+    )
     if near is not None:
         check_type(near, Prediction, "near")
+        _check_near(near, trial, settings)
     known = study.worn(contact)
     if clocks is None:
         timing, clocks = _timing(study, trial, known)
@@ -1111,11 +1116,6 @@ def predict(
     own = tuple(of_trial(trial, clocks))
     trial = retimed(trial, own)
     scaled = timed(known.scaled(scale_interaction), trial, own)
-    settings = schema.checked(
-        settings, PredictionSettings, "settings", study.prediction
-    )
-    if near is not None:
-        _check_near(near, trial, settings)
     kind = PeriodicStep if settings.ends == "periodic" else PredictionProblem
     answers = {trial.name: springs_answer(trial, study.device)}
     pose = partial(
