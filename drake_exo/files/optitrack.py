@@ -46,14 +46,11 @@ def read_markers_csv(path: str | Path) -> MarkerData:
             "meters, centimeters or millimeters"
         )
     start = _find(path, rows, "Frame")
-    kinds, names = _label_rows(path, rows[:start])
-    axes = rows[start][2:]
+    kinds, names = _label_rows(path, rows[: start + 1])
     columns: dict[str, list[tuple[str, int]]] = {}
-    for i, (kind, name, axis) in enumerate(
-        zip(kinds, names, axes, strict=False)
-    ):
-        if kind == "Marker" and axis.strip() in ("X", "Y", "Z"):
-            columns.setdefault(name.strip(), []).append((axis.strip(), i + 2))
+    for i, axis in enumerate(rows[start]):
+        if kinds[i] == "Marker" and axis.strip() in ("X", "Y", "Z"):
+            columns.setdefault(names[i].strip(), []).append((axis.strip(), i))
     ordered = [sorted(found) for found in columns.values()]
     if not columns or any(
         "".join(axis for axis, _ in found) != "XYZ" for found in ordered
@@ -166,13 +163,14 @@ def _find(path, rows, first: str) -> int:
 
 
 def _label_rows(path, rows) -> tuple[list[str], list[str]]:
-    """The rows of kinds (Marker, ...) and names above the columns."""
-    labels = [row for row in rows[1:] if not row[0].strip()]
-    if len(labels) < 2:
+    """The rows of kinds (Marker, ...) and names above the columns, the last."""
+    labels = [row for row in rows[1:] if not row[0].strip()][:2]
+    if len(labels) < 2 or min(map(len, labels)) < len(rows[-1]):
         raise InputError(
-            f"{path}: has no rows of marker names; export with the header"
+            f"{path}: has no rows of marker names over all columns; export "
+            "with the header"
         )
-    return labels[0][2:], labels[1][2:]
+    return labels[0], labels[1]
 
 
 def _corners(path, head) -> np.ndarray:

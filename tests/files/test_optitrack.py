@@ -107,6 +107,11 @@ def test_plate_acts_on_the_body(tmp_path):
         ),
         (read_markers_csv, markers().replace("Marker,", "Bone,"), "no markers"),
         (read_markers_csv, markers().replace("X,Y,Z,X", "X,Y,Y,X"), "X, Y and"),
+        (
+            read_markers_csv,
+            markers().replace(",A:TOE,A:TOE,A:TOE", ""),
+            "no rows of marker names over all columns",
+        ),
         (read_plate_csv, plate().replace("PosX_PosY_X", "P"), "no corners"),
         (
             read_plate_csv,
