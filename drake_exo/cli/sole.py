@@ -203,17 +203,19 @@ def _simulate(args) -> int:
     began = time.perf_counter()
     case = _case(args)
     seconds = {"mesh_seconds": round(time.perf_counter() - began, 4)}
-    progress = _progress(case.name, len(case.load.times))
+    tets, samples = len(case.mesh.tets), len(case.load.times)
+    progress = _progress(case.name, samples)
     with _out_of(args, case) as out:
+        # A fine mesh takes a minute before its first sample.
+        print(f"{case.name}: {tets} tets, {samples} samples", flush=True)
         step = case.simulate(lambda done, _: progress.update("samples", done))
         verdict = step.write(out, seconds, args.accept)
-    name = case.name
     print(
-        f"{name}: c_tr {step.c_tr:.4g} N/m, c_rot {step.c_rot:.4g} N·m/rad, "
-        f"c {step.c:.4g}, {len(step.times)} samples"
+        f"{case.name}: c_tr {step.c_tr:.4g} N/m, c_rot {step.c_rot:.4g} "
+        f"N·m/rad, c {step.c:.4g}"
     )
     print(verdict.text())
-    print(f"{name}: results in {args.out}")
+    print(f"{case.name}: results in {args.out}")
     return verdict.exit_code
 
 

@@ -52,12 +52,14 @@ def _run(folder, *more):
 
 
 @pytest.mark.slow
-def test_a_case_runs_and_leaves_its_results(folder):
+def test_a_case_runs_and_leaves_its_results(folder, capsys):
     assert _run(folder) == 0
+    said = capsys.readouterr().out.splitlines()
     numbers = json.loads((folder / "out" / "summary.json").read_text())
     for key in ("c_tr", "c_rot", "c", "steps", "failed_steps",
                 "contact_nodes", "tets", "simulation_seconds"):  # fmt: skip
         assert key in numbers
+    assert said[0] == f"{numbers['name']}: {numbers['tets']} tets, 3 samples"
     assert (numbers["steps"], numbers["failed_steps"]) == (3, 0)
     assert numbers["complementarity"] < 1e-10
     page = folder / "out" / "animation.html"
