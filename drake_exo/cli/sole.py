@@ -8,9 +8,7 @@ from drake_exo import soles
 from drake_exo.cli import add_accept, add_out, count, positive
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
-    SOLVED,
     STOPPED_CODE,
-    Check,
     OutputFolder,
     Progress,
     Verdict,
@@ -26,7 +24,7 @@ from drake_exo.soles.optimize.files import (
     read_checkpoint,
     read_summary,
 )
-from drake_exo.soles.optimize.limits import ROUNDING
+from drake_exo.soles.optimize.search import front_checks
 
 _FOLDERS = "folder of 'sole optimize' or 'sole study'"
 _LIMITS = (
@@ -112,6 +110,7 @@ def add_arguments(sole: ArgumentParser) -> None:
     parser = job("front", _front, front)
     _add_case(parser)
     _add(parser, "--limits")
+    add_accept(parser)
     strain = "compare heel strike of designs in finite and in small strain"
     parser = job("strain", _strain, strain)
     _add_source(parser, f"{_FOLDERS}, or a case file")
@@ -268,7 +267,7 @@ def _front(args) -> int:
             if not points:
                 raise
             stopped = True
-        verdict = Verdict(tuple(c for p in points for c in _point_checks(p)))
+        verdict = Verdict(tuple(front_checks(points)), tuple(args.accept))
         summary = {"name": case.name, "front": points} | verdict.summary()
         write_json(out / SUMMARY, summary)
         paper.draw_pareto_front(out, {"front": points}, mark=verdict.mark)
@@ -280,32 +279,6 @@ def _front(args) -> int:
     if stopped:
         print(f"stopped by the user after {len(points)} points")
     return code
-
-
-def _point_checks(point: dict) -> list[Check]:
-    """Whether a point of the front simulates, and keeps limits and floor."""
-    floor, failed = point["floor"], point["failed_steps"]
-    where = f"floor {floor:.3f}"
-    solved = Check(
-        SOLVED, not failed, failed, 0, "samples", where,
-        "samples that cannot be simulated",
-    )  # fmt: skip
-    if failed:
-        return [solved]
-    outside = point["violation"]
-    within = Check(
-        "bounds.limits", outside <= ROUNDING, outside, ROUNDING, "", where,
-        "by the smoothed law the design misses a limit, or the least quality "
-        "of elements, by this share; widen the case's limits, or begin with "
-        "a shape that is within them",
-    )  # fmt: skip
-    ratio = point["ratio_rot"]
-    keeps = Check(
-        "bounds.c_rot", ratio >= floor, ratio, floor, "", where,
-        "c_rot by the exact law, as a share of the initial shape's, is below "
-        "the floor", "note",
-    )  # fmt: skip
-    return [solved, within, keeps]
 
 
 def _strain(args) -> int:

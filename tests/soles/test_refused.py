@@ -340,12 +340,15 @@ def test_points_of_a_front_survive_ctrl_c(case, monkeypatch, capsys):
     point["ratio_rot"] = 0.899
     assert main([*words, str(case / "out"), "--force"]) == 130
     said = capsys.readouterr().out
-    assert "bounds.c_rot (floor 0.900, 0.899, limit 0.9)" in said
-    # Outside of the case's limits nothing holds.
-    assert command._point_checks(point)[1].holds
-    (_, within, _) = command._point_checks(point | {"violation": 0.0101})
-    assert (within.name, within.holds) == ("bounds.limits", False)
-    assert within.level == "fail"
+    assert "bounds.c_rot (small, floor 0.900, 0.899, limit 0.9)" in said
+    # Outside of the case's limits nothing holds, unless that is accepted.
+    point["violation"] = 0.0101
+    again = [*words, str(case / "out"), "--force"]
+    for accepted, begins in ((), "FAILS"), (["bounds.limits"], "accepted"):
+        options = [word for name in accepted for word in ("--accept", name)]
+        assert main([*again, *options]) == 130
+        where = "bounds.limits (small, floor 0.900, 0.0101, limit 0.01)"
+        assert f"  {begins}  {where}" in capsys.readouterr().out
 
 
 def test_ctrl_c_says_how_an_optimisation_goes_on(case, monkeypatch, capsys):
