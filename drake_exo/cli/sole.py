@@ -12,6 +12,7 @@ from drake_exo.files.output import (
     OutputFolder,
     Progress,
     Verdict,
+    joined_mark,
     prepare_output_folder,
     stored,
     write_json,
@@ -289,9 +290,11 @@ def _strain(args) -> int:
                 "sole strain: --mesh and --data-root are for a case file; "
                 f"leave them out, since {args.source} holds mesh and load"
             )
-        setups = [design.setup for design in soles.find_designs(args.source)]
+        designs = soles.find_designs(args.source)
+        setups = [design.setup for design in designs]
+        mark = joined_mark({design.name: design.mark for design in designs})
     else:
-        setups = [_read_case(args, args.source)]
+        setups, mark = [_read_case(args, args.source)], ""
         if args.out is None:
             raise InputError("sole strain: give --out with a case file")
     with _out_or_source(args, strains.TABLE) as out:
@@ -299,7 +302,7 @@ def _strain(args) -> int:
             s.name: soles.compare_strains(s, _progress(s.name).update)
             for s in setups
         }
-        print(strains.write_table(out, found))
+        print(strains.write_table(out, found, mark))
         _note(out, found)
     print(f"results in {args.out or args.source}")
     return 1 if any(sole["failures"] for sole in found.values()) else 0

@@ -501,7 +501,7 @@ def report(out: Path, designs: list[StoredDesign], source: Path) -> str:
         for d in designs
         if (kept := summaries[d.name].get("finite_strain"))
     }
-    mark = joined_mark({n: stored_mark(s) for n, s in summaries.items()})
+    mark = joined_mark({d.name: d.mark for d in designs})
     for name, figure in figures.items():
         save_figure(out / name, figure, mark)
     text = finite_strain.write_table(out, found, mark) if found else ""
