@@ -19,6 +19,7 @@ from drake_exo.soles.contact.law import Ground
 from drake_exo.soles.load_blocks import Constant, OneFoot
 from drake_exo.soles.loads import read_csv
 from drake_exo.soles.mesh import brick, read_mesh
+from drake_exo.soles.optimize import search
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.settings import (
     ContactBlock,
@@ -148,6 +149,16 @@ def test_parts_of_another_type_in_python():
     for floors in (0.9, [float("nan")]):
         with pytest.raises(InputError, match=r"floors are .* give a list"):
             dx.soles.pareto_front(case, floors)
+
+
+@pytest.mark.slow
+def test_a_front_whose_first_design_is_none_names_what_made_it(monkeypatch):
+    """A mass limit of a few grams, say, leaves a sheet."""
+    case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    monkeypatch.setattr(search, "nearest_allowed", lambda *said: 0 * said[2])
+    stages = case.settings.optimize.stages * 2
+    with pytest.raises(InputError, match=r"cost\.mass_limit_kg, optimize\.sha"):
+        dx.soles.pareto_front(case, [0.9], stages=stages)
 
 
 @pytest.mark.parametrize("skipped", [(4, 0), (1, 3), (0, 6)])

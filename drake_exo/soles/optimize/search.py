@@ -655,7 +655,8 @@ def pareto_front(
         if problem.evaluate(p) is None:
             raise InputError(
                 "the front's first design cannot be simulated; simulate the "
-                "case first, or change its load or its bounds"
+                "case first, or change its load, its bounds or what its shape "
+                "begins within (cost.mass_limit_kg, optimize.shape)"
             )
         first = QuasiNewton(problem.metric)
         p = searched(problem, p, stages[0], title, first).p
