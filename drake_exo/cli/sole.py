@@ -8,12 +8,11 @@ from drake_exo import soles
 from drake_exo.cli import add_accept, add_out, count, positive
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
-    SOLVED,
     STOPPED_CODE,
-    Check,
     OutputFolder,
     Progress,
     Verdict,
+    joined_mark,
     prepare_output_folder,
     stored,
     write_json,
@@ -26,7 +25,7 @@ from drake_exo.soles.optimize.files import (
     read_checkpoint,
     read_summary,
 )
-from drake_exo.soles.optimize.limits import ROUNDING
+from drake_exo.soles.optimize.search import front_checks
 
 _FOLDERS = "folder of 'sole optimize' or 'sole study'"
 _LIMITS = (
@@ -112,6 +111,7 @@ def add_arguments(sole: ArgumentParser) -> None:
     parser = job("front", _front, front)
     _add_case(parser)
     _add(parser, "--limits")
+    add_accept(parser)
     strain = "compare heel strike of designs in finite and in small strain"
     parser = job("strain", _strain, strain)
     _add_source(parser, f"{_FOLDERS}, or a case file")
@@ -270,7 +270,7 @@ def _front(args) -> int:
             if not points:
                 raise
             stopped = True
-        verdict = Verdict(tuple(c for p in points for c in _point_checks(p)))
+        verdict = Verdict(tuple(front_checks(points)), tuple(args.accept))
         summary = {"name": case.name, "front": points} | verdict.summary()
         write_json(out / SUMMARY, summary)
         paper.draw_pareto_front(out, {"front": points}, mark=verdict.mark)
@@ -284,32 +284,6 @@ def _front(args) -> int:
     return code
 
 
-def _point_checks(point: dict) -> list[Check]:
-    """Whether a point of the front simulates, and keeps limits and floor."""
-    floor, failed = point["floor"], point["failed_steps"]
-    where = f"floor {floor:.3f}"
-    solved = Check(
-        SOLVED, not failed, failed, 0, "samples", where,
-        "samples that cannot be simulated",
-    )  # fmt: skip
-    if failed:
-        return [solved]
-    outside = point["violation"]
-    within = Check(
-        "bounds.limits", outside <= ROUNDING, outside, ROUNDING, "", where,
-        "by the smoothed law the design misses a limit, or the least quality "
-        "of elements, by this share; widen the case's limits, or begin with "
-        "a shape that is within them",
-    )  # fmt: skip
-    ratio = point["ratio_rot"]
-    keeps = Check(
-        "bounds.c_rot", ratio >= floor, ratio, floor, "", where,
-        "c_rot by the exact law, as a share of the initial shape's, is below "
-        "the floor", "note",
-    )  # fmt: skip
-    return [solved, within, keeps]
-
-
 def _strain(args) -> int:
     """Write and print the table; 1 if some sample has no equilibrium."""
     if args.source.is_dir():
@@ -318,9 +292,11 @@ def _strain(args) -> int:
                 "sole strain: --mesh and --data-root are for a case file; "
                 f"leave them out, since {args.source} holds mesh and load"
             )
-        setups = [design.setup for design in soles.find_designs(args.source)]
+        designs = soles.find_designs(args.source)
+        setups = [design.setup for design in designs]
+        mark = joined_mark({design.name: design.mark for design in designs})
     else:
-        setups = [_read_case(args, args.source)]
+        setups, mark = [_read_case(args, args.source)], ""
         if args.out is None:
             raise InputError("sole strain: give --out with a case file")
     with _out_or_source(args, strains.TABLE) as out:
@@ -328,7 +304,7 @@ def _strain(args) -> int:
             s.name: soles.compare_strains(s, _progress(s.name).update)
             for s in setups
         }
-        print(strains.write_table(out, found))
+        print(strains.write_table(out, found, mark))
         _note(out, found)
     print(f"results in {args.out or args.source}")
     return 1 if any(sole["failures"] for sole in found.values()) else 0

@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
     Check,
@@ -44,7 +46,12 @@ from drake_exo.soles.optimize.files import (
     kept_file,
     read_summary,
 )
-from drake_exo.soles.optimize.search import finished, pareto_front, search_jobs
+from drake_exo.soles.optimize.search import (
+    finished,
+    front_checks,
+    pareto_front,
+    search_jobs,
+)
 from drake_exo.soles.results import strikes
 from drake_exo.soles.settings import (
     STAGES,
@@ -254,11 +261,9 @@ class Study:
             if row.state != "done" and row.name.endswith(_TOLD)
         ]
         for key in self.variants:
-            for row in summary[key]:
-                checks += [
-                    replace(c, where=_BELOW[key] + c.where)
-                    for c in stored(row).checks
-                ]
+            own = [c for row in summary[key] for c in stored(row).checks]
+            own += front_checks(_points(summary, key))
+            checks += [replace(c, where=_BELOW[key] + c.where) for c in own]
         verdict = Verdict(tuple(checks), tuple(accepted))
         summary |= verdict.summary()
         write_json(out / SUMMARY, summary)
@@ -290,17 +295,30 @@ def pareto_job(folder: Path, case: Case, say) -> str:
 
 
 def study_front(folder: Path, cases: list[Case]) -> dict:
-    """Points found so far: all of 1-Ref, and the first of every case."""
+    """Points found so far: all of 1-Ref, and the first of every case.
+
+    Numbers that are null in the files become NaN.
+    """
     found = {"points": [], "at_paper": []}
     for case in cases:
         file = folder / case.name / _PARETO_FRONT
         if not file.is_file():
             continue
-        points = read_json(file, "run the study again")
+        points = [
+            {key: np.nan if x is None else x for key, x in point.items()}
+            for point in read_json(file, "run the study again")
+        ]
         if case.name == _WHOLE:
             found["points"] = points
         found["at_paper"] += points[:1]
     return found
+
+
+def _points(summary: dict, key: str) -> list[dict]:
+    """Every point of a study's front once, by the key of its cases."""
+    found = summary.get(_PARETO_FRONTS[key], {"points": [], "at_paper": []})
+    points = found["points"]
+    return points + [p for p in found["at_paper"] if p not in points]
 
 
 def line(row: dict) -> str:
@@ -335,9 +353,8 @@ def _tables(out: Path, summary: dict, mark: str) -> str:
             parts.append(title + table(rows) + "\n\n" + certainty_table(rows))
         found = summary.get(_PARETO_FRONTS[key])
         if found:
-            others = [p for p in found["at_paper"] if p not in found["points"]]
             fronts[_PARETO_FRONTS[key].replace("_", " ")] = found["points"]
-            parts.append(front_table(found["points"] + others))
+            parts.append(front_table(_points(summary, key)))
     draw_pareto_front(out, fronts, summary["cases"], mark)
     return "\n\n".join(parts)
 
@@ -484,7 +501,7 @@ def report(out: Path, designs: list[StoredDesign], source: Path) -> str:
         for d in designs
         if (kept := summaries[d.name].get("finite_strain"))
     }
-    mark = joined_mark({n: stored_mark(s) for n, s in summaries.items()})
+    mark = joined_mark({d.name: d.mark for d in designs})
     for name, figure in figures.items():
         save_figure(out / name, figure, mark)
     text = finite_strain.write_table(out, found, mark) if found else ""

@@ -91,6 +91,9 @@ def ran(tmp_path, monkeypatch, capsys):
         ("front_table", told("front")),
         ("study_front", lambda folder, of: {
             "points": ["a", "b"], "at_paper": ["b", "c"], "in": folder.name}),
+        ("front_checks", lambda points: [
+            Check("bounds.limits", p != "b", where=f"point {p}")
+            for p in points]),
         ("draw_pareto_front", lambda *said: seen.drawn.append(said)),
     ):  # fmt: skip
         monkeypatch.setattr(paper, name, value)
@@ -123,19 +126,35 @@ def test_a_study_has_a_folder_a_case_and_one_for_those_without_limits(ran):
 
 
 def test_who_failed_and_who_holds_is_in_the_verdict(ran):
-    found = {c.where: c.holds for c in ran.verdict.checks}
+    found = {
+        c.where: c.holds for c in ran.verdict.checks if "point" not in c.where
+    }
     assert found == {
         "2-Rot/optimize": False,
         "1-Ref": True,
         "unlimited/1-Ref": True,
         "unlimited/2-Rot": True,
     }
-    (failed,) = (c for c in ran.verdict.checks if not c.holds)
+    (failed,) = (c for c in ran.verdict.failing if c.name == "solved")
     assert failed.sentence == "no end"
     assert "2-Rot/optimize: no end\n" in ran.said
     assert ran.said.count("fine\n") == 7 and "stage" not in ran.said
     assert ran.said.count("unlimited/fine\n") == 4
     assert ran.summary["verdict"] == ran.verdict.summary()["verdict"]
+
+
+def test_every_point_of_a_study_s_fronts_is_checked_once(ran):
+    found = [
+        (c.where, c.holds)
+        for c in ran.verdict.checks
+        if c.name == "bounds.limits"
+    ]
+    assert found == [
+        (f"{below}point {p}", p != "b")
+        for below in ("", "unlimited/")
+        for p in ("a", "b", "c")
+    ]
+    assert {c["where"] for c in ran.summary["checks"]} >= dict(found).keys()
 
 
 def test_tables_of_a_study_stand_one_after_the_other(ran):

@@ -19,6 +19,7 @@ from drake_exo.soles.contact.law import Ground
 from drake_exo.soles.load_blocks import Constant, OneFoot
 from drake_exo.soles.loads import read_csv
 from drake_exo.soles.mesh import brick, read_mesh
+from drake_exo.soles.optimize import search
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.settings import (
     ContactBlock,
@@ -148,6 +149,16 @@ def test_parts_of_another_type_in_python():
     for floors in (0.9, [float("nan")]):
         with pytest.raises(InputError, match=r"floors are .* give a list"):
             dx.soles.pareto_front(case, floors)
+
+
+@pytest.mark.slow
+def test_a_front_whose_first_design_is_none_names_what_made_it(monkeypatch):
+    """A mass limit of a few grams, say, leaves a sheet."""
+    case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    monkeypatch.setattr(search, "nearest_allowed", lambda *said: 0 * said[2])
+    stages = case.settings.optimize.stages * 2
+    with pytest.raises(InputError, match=r"cost\.mass_limit_kg, optimize\.sha"):
+        dx.soles.pareto_front(case, [0.9], stages=stages)
 
 
 @pytest.mark.parametrize("skipped", [(4, 0), (1, 3), (0, 6)])
@@ -340,12 +351,15 @@ def test_points_of_a_front_survive_ctrl_c(case, monkeypatch, capsys):
     point["ratio_rot"] = 0.899
     assert main([*words, str(case / "out"), "--force"]) == 130
     said = capsys.readouterr().out
-    assert "bounds.c_rot (floor 0.900, 0.899, limit 0.9)" in said
-    # Outside of the case's limits nothing holds.
-    assert command._point_checks(point)[1].holds
-    (_, within, _) = command._point_checks(point | {"violation": 0.0101})
-    assert (within.name, within.holds) == ("bounds.limits", False)
-    assert within.level == "fail"
+    assert "bounds.c_rot (small, floor 0.900, 0.899, limit 0.9)" in said
+    # Outside of the case's limits nothing holds, unless that is accepted.
+    point["violation"] = 0.0101
+    again = [*words, str(case / "out"), "--force"]
+    for accepted, begins in ((), "FAILS"), (["bounds.limits"], "accepted"):
+        options = [word for name in accepted for word in ("--accept", name)]
+        assert main([*again, *options]) == 130
+        where = "bounds.limits (small, floor 0.900, 0.0101, limit 0.01)"
+        assert f"  {begins}  {where}" in capsys.readouterr().out
 
 
 def test_ctrl_c_says_how_an_optimisation_goes_on(case, monkeypatch, capsys):

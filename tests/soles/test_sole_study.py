@@ -130,8 +130,13 @@ def test_a_point_of_the_front_holds_its_floor(tmp_path):
 def test_a_study_collects_its_fronts(tmp_path, monkeypatch):
     def points(case, floors, say):
         return [
-            {"case": case.name, "floor": f, "ratio_tr": 0.1} for f in floors
-        ]
+            {
+                "case": case.name, "floor": f, "ratio_tr": 0.1, "c_tr": 1.0,
+                "c_rot": 2.0, "ratio_rot": 2.0, "optimality_error": np.inf,
+                "violation": np.nan, "failed_steps": 0,
+            }
+            for f in floors
+        ]  # fmt: skip
 
     monkeypatch.setattr(paper, "pareto_front", points)
     five = paper.five_cases(LoadBlock(pattern=Robot()), coarse=True)
@@ -148,3 +153,9 @@ def test_a_study_collects_its_fronts(tmp_path, monkeypatch):
     assert other["floor"] == rot / rot0
     assert other["paper_ratio_tr"] == tr / tr0
     assert "paper_ratio_tr" not in found["points"][1]
+    # JSON knows no NaN; what is not known keeps no limit.
+    assert paper.front_table(found["points"]).count(" nan") == 8
+    checks = search.front_checks(found["points"])
+    failed = [c for c in checks if not c.holds]
+    assert {c.name for c in failed} == {"bounds.limits"} and len(failed) == 8
+    assert failed[0].where == "1-Ref, floor 0.972"

@@ -11,6 +11,7 @@ from small_step import optimize, stage, write_case, write_step
 
 from drake_exo import cli
 from drake_exo.errors import InputError
+from drake_exo.files.output import Check, Verdict
 from drake_exo.soles import finite_strain
 from drake_exo.soles.animation import replay_soles
 from drake_exo.soles.case import Case
@@ -75,6 +76,18 @@ def test_the_stored_design_gives_the_same_figures(study, tmp_path):
     assert [r["sole"] for r in rows] == ["small"] * 3
     text = (tmp_path / "out" / "finite_strain.txt").read_text()
     assert "σ_max(K_tr)" in text
+
+
+def test_the_table_of_a_design_that_does_not_hold_says_so(study, tmp_path):
+    folder = tmp_path / "small"
+    shutil.copytree(study / "small", folder)
+    path = folder / "summary.json"
+    off = Check("bounds.tilt", False, 33.0, 20.0, "°", "small", "leans")
+    row = json.loads(path.read_text()) | Verdict((off,)).summary()
+    path.write_text(json.dumps(row))
+    assert cli.main(["sole", "strain", str(folder), "--force"]) == 0
+    text = (folder / "finite_strain.txt").read_text()
+    assert text.startswith(f"DOES NOT HOLD: small: {off.name} (small, 33 °")
 
 
 def test_results_are_not_overwritten_unasked(study, capsys):

@@ -7,7 +7,12 @@ import numpy as np
 
 from drake_exo.errors import InputError, path_of
 from drake_exo.files import schema
-from drake_exo.files.output import read_arrays, read_json, write_json
+from drake_exo.files.output import (
+    read_arrays,
+    read_json,
+    stored_mark,
+    write_json,
+)
 from drake_exo.soles.contact.law import FLAT, Ground
 from drake_exo.soles.contact.newton import Start
 from drake_exo.soles.loads import Load, read_columns, read_csv
@@ -253,6 +258,11 @@ class StoredDesign:
                     "optimise the sole again"
                 )
         return found
+
+    @property
+    def mark(self) -> str:
+        """The `Verdict.mark` of its summary.json; empty if the design holds."""
+        return stored_mark(read_summary(self.folder), self.folder / SUMMARY)
 
     def history(self) -> dict[str, np.ndarray]:
         """The columns of history.csv by name, see `TRACE`.

@@ -29,6 +29,7 @@ import numpy as np
 from scipy.optimize import Bounds, minimize
 
 from drake_exo.errors import InputError, check_type
+from drake_exo.files.output import SOLVED, Check
 from drake_exo.jobs.engine import (
     Ended,
     Heard,
@@ -42,6 +43,7 @@ from drake_exo.soles.optimize.design import Design, verified
 from drake_exo.soles.optimize.files import Checkpoint, start_folder
 from drake_exo.soles.optimize.limits import (
     FEASIBLE,
+    ROUNDING,
     rotation_limit,
     strain_limit,
 )
@@ -653,7 +655,8 @@ def pareto_front(
         if problem.evaluate(p) is None:
             raise InputError(
                 "the front's first design cannot be simulated; simulate the "
-                "case first, or change its load or its bounds"
+                "case first, or change its load, its bounds or what its shape "
+                "begins within (cost.mass_limit_kg, optimize.shape)"
             )
         first = QuasiNewton(problem.metric)
         p = searched(problem, p, stages[0], title, first).p
@@ -681,6 +684,36 @@ def pareto_front(
 def _keeps(point: dict, floor: float) -> bool:
     """Whether a design is within its limits and above a floor of c_rot."""
     return point["violation"] <= FEASIBLE and point["ratio_rot"] >= floor
+
+
+def front_checks(points: Sequence[dict]) -> list[Check]:
+    """Whether points of fronts simulate, and keep limits and floor."""
+    return [check for point in points for check in _point_checks(point)]
+
+
+def _point_checks(point: dict) -> list[Check]:
+    floor, failed = point["floor"], point["failed_steps"]
+    where = f"{point['case']}, floor {floor:.3f}"
+    solved = Check(
+        SOLVED, not failed, failed, 0, "samples", where,
+        "samples that cannot be simulated",
+    )  # fmt: skip
+    if failed:
+        return [solved]
+    outside = point["violation"]
+    within = Check(
+        "bounds.limits", outside <= ROUNDING, outside, ROUNDING, "", where,
+        "by the smoothed law the design misses a limit, or the least quality "
+        "of elements, by this share; widen the case's limits, or begin with "
+        "a shape that is within them",
+    )  # fmt: skip
+    ratio = point["ratio_rot"]
+    keeps = Check(
+        "bounds.c_rot", ratio >= floor, ratio, floor, "", where,
+        "c_rot by the exact law, as a share of the initial shape's, is below "
+        "the floor", "note",
+    )  # fmt: skip
+    return [solved, within, keeps]
 
 
 def _best(found: list[dict]) -> list[dict]:
