@@ -130,10 +130,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _laboratory(path: Path, study: RecordedStudy) -> dict:
-    """Seed, disturbances and kind of the laboratory beside a study file."""
+    """Seed, disturbances and kind of the laboratory that recorded a study."""
     from drake_exo.virtual_laboratory.campaign import protocol, read_about
 
-    about = read_about(path.parent)
+    # The study may be a changed copy elsewhere, as in a batch with a sweep.
+    about = read_about((study.root / study.file.standing.markers).parent)
     built = [m.name for m in protocol() if m.mode == "assisted"]
     for name in _windows(study):
         if name not in built:

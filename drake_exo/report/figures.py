@@ -490,16 +490,23 @@ def _legend(figure: Figure) -> float:
     # "measured" first, whichever panel shows it.
     entries = sorted(_entries(figure).items(), key=lambda e: e[0] != "measured")
     entries = dict(entries)
-    # The longest entry is 2 inches wide.
-    columns = min(len(entries), 4, int(figure.get_size_inches()[0] / 2.0))
+    width = figure.get_figwidth()
+    # Runs are named as their folders, which may be a line of any length.
+    names = [_wrapped(name, width - 0.5) for name in entries]
+    lines = [name.splitlines() for name in names]
+    longest = max(len(line) for name in lines for line in name)
+    columns = min(len(names), 4, int(width / max(2.0, 0.5 + longest / 15.0)))
+    rows = -(-len(names) // columns)
+    more = 0.15 * rows * (max(map(len, lines)) - 1)
+    figure.set_figheight(figure.get_figheight() + more)
     figure.legend(
         entries.values(),
-        entries.keys(),
+        names,
         loc="upper center",
         ncol=columns,
         frameon=False,
     )
-    return 0.1 + 0.22 * -(-len(entries) // columns)
+    return 0.1 + 0.22 * rows + more
 
 
 def _entries(figure: Figure) -> dict[str, object]:

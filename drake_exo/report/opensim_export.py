@@ -13,8 +13,9 @@ has six coordinates, its foot is also kept upright.
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -487,21 +488,26 @@ def export_opensim(
     links = _add_device(file, copies) if model.has_device else ()
     _add_cuffs(file, copies, contact)
     out.parent.mkdir(parents=True, exist_ok=True)
-    file.write(out)
-    written = read_osim(out)
     largest: dict[str, float] = {}
-    for trial, states, forces in zip(
-        trials, files[1::2], files[2::2], strict=True
-    ):
-        q, v = states_of(copies, links, written, trial)
-        energies = [
-            f"/forceset/{e.get('name')}/dissipated_energy"
-            for e in file.model.iterfind("ForceSet/objects/BushingForce")
-        ]
-        write_states(states, written, trial, q, v, energies, mark)
-        write_forces(forces, copies, trial, mark)
-        for name, angle in turned_off(copies, q, trial).items():
-            largest[name] = max(angle, largest.get(name, 0.0))
+    # All files or none: a movement may be one that the model cannot make.
+    with TemporaryDirectory(prefix=".", dir=out.parent) as draft:
+        made = [Path(draft, path.name) for path in files]
+        file.write(made[0])
+        written = replace(read_osim(made[0]), source=person.osim.source)
+        for trial, states, forces in zip(
+            trials, made[1::2], made[2::2], strict=True
+        ):
+            q, v = states_of(copies, links, written, trial)
+            energies = [
+                f"/forceset/{e.get('name')}/dissipated_energy"
+                for e in file.model.iterfind("ForceSet/objects/BushingForce")
+            ]
+            write_states(states, written, trial, q, v, energies, mark)
+            write_forces(forces, copies, trial, mark)
+            for name, angle in turned_off(copies, q, trial).items():
+                largest[name] = max(angle, largest.get(name, 0.0))
+        for path, target in zip(made, files, strict=True):
+            os.replace(path, target)
     lines = (
         *([mark] if mark else []),
         *_said(copies, contact, mass, shift),

@@ -789,8 +789,13 @@ def test_one_trial_at_a_glance(trials, found):
 
 @pytest.mark.slow
 def test_legends_stay_inside_narrow_figures(trials, found):
+    # As a batch names the folders of its variants.
+    key = "prediction.solver.nodes_per_second"
+    long = {f"{key}={n},interaction.{key}={n}": found[:1] for n in (40, 60)}
     for figure in (
         figures.kinematics_figure({"predicted": found[:1]}, trials[:1]),
+        figures.kinematics_figure(long, trials[:1]),
+        figures.interaction_figure(long, trials[:1]),
         figures.overview_figure(found[0], trials[0]),
     ):
         FigureCanvasAgg(figure).draw()

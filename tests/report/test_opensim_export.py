@@ -616,8 +616,10 @@ def test_toes_that_the_model_holds_are_refused(case):
     coordinate = joint[joint.index("<coordinates>") : joint.index("<frames>")]
     fixed = joint.replace("PinJoint", "WeldJoint").replace(coordinate, "")
     one.osim.write_text(text.replace(joint, fixed))
+    before = sorted(one.folder.parent.rglob("*"))
     with pytest.raises(InputError, match=r"joint 'mtp_r' is fixed, but the"):
         one.export()
+    assert sorted(one.folder.parent.rglob("*")) == before
 
 
 @pytest.mark.slow

@@ -242,9 +242,27 @@ def test_a_trial_that_no_laboratory_builds_is_refused(tmp_path, monkeypatch):
         TrialFiles(name, file, file, plates, "prediction")
         for name in ("assisted_legs_3_3", "passive_legs_5_3")
     ]
-    study = SimpleNamespace(file=SimpleNamespace(trials=trials))
+    standing = SimpleNamespace(markers=file)
+    about = SimpleNamespace(trials=trials, standing=standing)
+    study = SimpleNamespace(file=about, root=tmp_path)
     with pytest.raises(InputError, match="'passive_legs_5_3' is for predict"):
         command._laboratory(tmp_path / "study.yaml", study)
+
+
+@pytest.mark.slow
+def test_the_laboratory_is_where_the_recordings_are(tmp_path):
+    """A batch with a sweep designs by a changed copy of the study."""
+    recorded, copy = tmp_path / "recorded", tmp_path / "copy.yaml"
+    (recorded / "truth").mkdir(parents=True)
+    about = {"seed": 4, "truth": "near", "disturbances": []}
+    (recorded / "truth" / "truth.json").write_text(json.dumps(about))
+    job = Campaign(recorded, 4, frozenset(), "c3d", "near")
+    trial = dict(name="assisted_legs_3_3", use="prediction", markers="x.c3d")
+    plates = {"left": 1, "right": 2}
+    entry = {**trial, "forces": "x.c3d", "plates": plates}
+    write_yaml(copy, "", job.study({}, [entry]))
+    study = dx.read_study(copy, data_root=recorded)
+    assert command._laboratory(copy, study)["seed"] == 4
 
 
 def test_what_a_campaign_was_made_with(tmp_path):
