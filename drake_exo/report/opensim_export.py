@@ -47,8 +47,11 @@ from drake_exo.model.segments import SEGMENTS
 
 _BODIES = {"thigh": "femur", "shank": "tibia", "foot": "calcn", "toes": "toes"}
 _ORIGINS = {"thigh": "knee", "shank": "ankle", "foot": "ankle", "toes": "toes"}
-_STEPS, _THERE = 60, 1e-11  # most Newton steps, tolerance [m or rad]
-_LARGEST_STEP = 0.3
+_STEPS, _THERE = 60, 1e-14  # most steps, tolerance [m or rad]
+# Damping of steps at first and at least; singular values that count as none.
+_DAMPING, _LEAST_DAMPING, _SINGULAR = 1e-3, 1e-14, 1e-4
+# Misfit [m or rad] that is told, and one that is refused.
+_TOLD, _FARTHEST = 1e-8, 1e-3
 
 
 @dataclass(frozen=True)
@@ -151,63 +154,96 @@ class Link:
 
 
 def states_of(copies: Copies, links, osim: OsimModel, trial: Trial):
-    """Coordinates and speeds (n,) of the OpenSim model in a trial, by name."""
+    """Coordinates and speeds (n,) of the OpenSim model in a trial, by name.
+
+    And the largest misfit of a segment [m or rad]: a leg that is nearly
+    straight may be too short by the millimetre that a sliding knee takes.
+
+    Raises:
+        InputError: a misfit is beyond a millimetre or a mrad.
+    """
     tree, n = copies.tree, len(trial.times)
     q: dict[str, np.ndarray] = {}
     v: dict[str, np.ndarray] = {}
+    misfits = [0.0]
 
     def reach(names, segment, copy: Copy, rows=(0, 1, 2)):
         aside = np.array([copies.aside(copy), 0.0, 0.0])
         place, angle, motion = tree.link_motion(trial.q, trial.v, segment)
         target = np.column_stack([place.T, angle, np.tile(aside, (n, 1))])
         rate = np.column_stack([motion.T, np.zeros((n, 3))])
-        _reach(osim, q, v, names, copy, target, rate, list(rows), segment)
-
-    def own(body):
-        joint = osim.joint_of(body)
-        found = flexing(osim, joint)
-        if found is None:
+        misfit = _reach(osim, q, v, names, copy, target, rate, list(rows))
+        worst = int(np.argmax(misfit))
+        if misfit[worst] > _FARTHEST:
             raise InputError(
-                f"{osim.source}: joint {joint.name!r} is fixed, but the "
-                "calibrated person's turns; say toes: rigid and calibrate again"
+                f"{osim.source}: cannot put the {segment.replace('_', ' ')} "
+                f"where the calibrated person has it in {trial.name} at "
+                f"{trial.times[worst]:.2f} s ({1e3 * misfit[worst]:.1f} mm or "
+                "mrad off); give the model that the study was calibrated with"
             )
-        return found
+        misfits.append(float(misfit[worst]))
 
     (pelvis,) = {copy.body: copy for copy in copies.of("pelvis")}.values()
     names = _root(osim)
     for name in names:
-        q[name] = np.zeros(n)
+        q[name], v[name] = np.zeros((2, n))
     reach(names, "pelvis", pelvis)
     for part_of in copies.who.suffixes:
-        angles = [
-            tree.body_angles(trial.q, f"{part}{part_of}" if part else "pelvis")
-            for part in ("", "thigh", "shank", "foot")
-        ]
         for copy in copies.of(f"foot{part_of}"):
-            names = []
-            for i, joint in enumerate(("hip", "knee", "ankle")):
-                name, rate = own(JOINTS[joint] + copy.end)
-                q[name] = (angles[i + 1] - angles[i]) / rate
-                names.append(name)
+            pins = pin_motions(copies, osim, trial, copy.end)
+            names = list(pins)
+            for name, (angle, rate) in pins.items():
+                q[name], v[name] = angle, rate
             free = _free(osim, copy.body)
             if len(free) < 6:
                 reach(names, f"foot{part_of}", copy)
                 continue
             for name in free:
                 q.setdefault(name, np.zeros(n))
+                v.setdefault(name, np.zeros(n))
             reach(free, f"foot{part_of}", copy, range(6))
         if copies.who.toes == "hinged":
             for copy in copies.of(f"toes{part_of}"):
-                name, rate = own(f"toes{copy.end}")
-                bend = tree.body_angles(trial.q, f"toes{part_of}") - angles[-1]
-                q[name] = bend / rate
+                name, _ = _hinge(osim, f"toes{copy.end}")
+                q[name], v[name] = np.zeros((2, n))
                 reach([name], f"toes{part_of}", copy, (2,))
     for link in links:
         row = tree.turning(link.child) - tree.turning(link.parent)
         q[f"{link.joint}_angle"] = trial.q @ row
         v[f"{link.joint}_angle"] = trial.v @ row
     _couple(osim, q, v)
-    return q, v
+    return q, v, max(misfits)
+
+
+def _hinge(osim: OsimModel, body: str) -> tuple[str, float]:
+    """Coordinate that turns a body about z, and the angle by it."""
+    joint = osim.joint_of(body)
+    found = flexing(osim, joint)
+    if found is None:
+        raise InputError(
+            f"{osim.source}: joint {joint.name!r} is fixed, but the "
+            "calibrated person's turns; say toes: rigid and calibrate again"
+        )
+    return found
+
+
+def pin_motions(copies: Copies, osim: OsimModel, trial: Trial, end: str):
+    """Coordinate of a leg -> angle and speed (n,) that it had as a pin."""
+    (side,) = (side for side, own in ENDS.items() if own == end)
+    suffix = f"_{side}" if copies.who.sides else ""
+    parts = ("pelvis", *(f"{p}{suffix}" for p in ("thigh", "shank", "foot")))
+    at, tree = copies.person.places[side], copies.tree
+    along = 1j, at["hip"] - at["knee"], at["knee"] - at["ankle"], 1j
+    angles = [
+        tree.body_angles(trial.q, part) - np.angle(upwards / 1j)
+        for part, upwards in zip(parts, along, strict=True)
+    ]
+    rates = [trial.v @ tree.turning(part) for part in parts]
+    found = {}
+    for i, joint in enumerate(("hip", "knee", "ankle")):
+        name, turn = _hinge(osim, JOINTS[joint] + end)
+        found[name] = [(x[i + 1] - x[i]) / turn for x in (angles, rates)]
+    return found
 
 
 def _free(osim: OsimModel, body: str) -> list[str]:
@@ -250,16 +286,20 @@ def _root(osim: OsimModel) -> list[str]:
     return [tilt[0], *found]
 
 
-def _reach(osim, q, v, names, copy: Copy, target, rate, rows, what) -> None:
+def _reach(osim, q, v, names, copy: Copy, target, rate, rows) -> np.ndarray:
     """Find coordinates `q`, speeds `v` that put a body's frame on a target.
 
-    Newton's method, all n states at once; `q` holds the first guess. Columns of
-    `target`, `rate` (n, 6), of which `rows` are met: x, y, angle in the plane,
-    z, and x and y of the frame's z axis, zero where it is normal to the plane.
+    By Levenberg and Marquardt's method, all n states at once, from `q` on;
+    speeds are those nearest to `v`. Columns of `target`, `rate` (n, 6), of
+    which `rows` are met: x, y, angle in the plane, z, and x and y of the
+    frame's z axis, zero where it is normal to the plane.
+
+    Returns:
+        Largest misfit of each state, (n,).
     """
     n = len(target)
 
-    def jacobian(of):
+    def jacobian(q, of):
         poses = osim.poses(q, n)
         R_GB, p_GB = poses[copy.body]
         R, p = R_GB @ copy.frame.R, p_GB + R_GB @ copy.frame.p
@@ -273,35 +313,35 @@ def _reach(osim, q, v, names, copy: Copy, target, rate, rows, what) -> None:
             J[:, 3, k] = motion[:, 2]
             J[:, 4:, k] = np.cross(turn, R[:, :, 2])[:, :2]
         pose = [p[:, :2], np.arctan2(s, c), p[:, 2], R[:, :2, 2]]
-        return np.column_stack(pose), J
-
-    for _ in range(_STEPS):
-        pose, J = jacobian(names)
-        error = target - pose
+        error = target - np.column_stack(pose)
         error[:, 2] = np.angle(np.exp(1j * error[:, 2]))
-        error = error[:, rows]
+        return error[:, rows], J[:, rows]
+
+    damping, eye = np.full(n, _DAMPING), np.eye(len(rows))
+    error, J = jacobian(q, names)
+    for _ in range(_STEPS):
         if np.abs(error).max() < _THERE:
             break
-        step = np.einsum("nij,nj->ni", np.linalg.pinv(J[:, rows]), error)
-        step *= np.minimum(
-            1.0, _LARGEST_STEP / np.abs(step).max(axis=1, initial=1e-30)
-        )[:, None]
-        for k, name in enumerate(names):
-            q[name] = q[name] + step[:, k]
-    else:
-        if np.abs(error).max() > 1e3 * _THERE:
-            raise InputError(
-                f"{osim.source}: cannot put the {what.replace('_', ' ')} "
-                "where the calibrated person has it"
-            )
-    _, J = jacobian(names)
-    others = [name for name in v if name not in names]
-    _, K = jacobian(others)
-    known = np.stack([v[name] for name in others], axis=1) if others else None
-    left = rate if known is None else rate - np.einsum("nij,nj->ni", K, known)
-    speeds = np.einsum("nij,nj->ni", np.linalg.pinv(J[:, rows]), left[:, rows])
+        A = J @ J.transpose(0, 2, 1) + damping[:, None, None] * eye
+        pull = np.linalg.solve(A, error[:, :, None])
+        step = (J.transpose(0, 2, 1) @ pull)[:, :, 0]
+        tried = q | {name: q[name] + step[:, k] for k, name in enumerate(names)}
+        left, slope = jacobian(tried, names)
+        nearer = np.linalg.norm(left, axis=1) < np.linalg.norm(error, axis=1)
+        for name in names:
+            q[name] = np.where(nearer, tried[name], q[name])
+        error = np.where(nearer[:, None], left, error)
+        J = np.where(nearer[:, None, None], slope, J)
+        damping = np.where(nearer, 0.1, 10.0) * damping
+        damping = np.maximum(damping, _LEAST_DAMPING)
+    moving = list(v)
+    _, K = jacobian(q, moving)
+    known = np.stack([v[name] for name in moving], axis=1)
+    left = rate[:, rows] - np.einsum("nij,nj->ni", K, known)
+    more = np.linalg.pinv(J, rcond=_SINGULAR) @ left[:, :, None]
     for k, name in enumerate(names):
-        v[name] = speeds[:, k]
+        v[name] = v[name] + more[:, k, 0]
+    return np.abs(error).max(axis=1)
 
 
 def _couple(osim: OsimModel, q, v) -> None:
@@ -371,24 +411,13 @@ def write_forces(
 
 def turned_off(copies: Copies, q, trial: Trial) -> dict[str, float]:
     """Leg's coordinate -> largest difference from the pin's angle [rad]."""
-    found, tree, osim = {}, copies.tree, copies.person.osim
-    for side, end in ENDS.items():
-        suffix = f"_{side}" if copies.who.sides else ""
-        parts = (
-            "pelvis",
-            *(f"{p}{suffix}" for p in ("thigh", "shank", "foot")),
-        )
-        at = copies.person.places[side]
-        along = 1j, at["hip"] - at["knee"], at["knee"] - at["ankle"], 1j
-        angles = [
-            tree.body_angles(trial.q, part) - np.angle(upwards / 1j)
-            for part, upwards in zip(parts, along, strict=True)
-        ]
-        for i, joint in enumerate(("hip", "knee", "ankle")):
-            name, rate = flexing(osim, osim.joint_of(JOINTS[joint] + end))
-            pin = (angles[i + 1] - angles[i]) / rate
-            found[name] = float(np.abs(q[name] - pin).max())
-    return found
+    return {
+        name: float(np.abs(q[name] - angle).max())
+        for end in ENDS.values()
+        for name, (angle, _) in pin_motions(
+            copies, copies.person.osim, trial, end
+        ).items()
+    }
 
 
 _GROUND = "contact_ground"
@@ -489,6 +518,7 @@ def export_opensim(
     _add_cuffs(file, copies, contact)
     out.parent.mkdir(parents=True, exist_ok=True)
     largest: dict[str, float] = {}
+    misfits = {}
     # All files or none: a movement may be one that the model cannot make.
     with TemporaryDirectory(prefix=".", dir=out.parent) as draft:
         made = [Path(draft, path.name) for path in files]
@@ -497,7 +527,7 @@ def export_opensim(
         for trial, states, forces in zip(
             trials, made[1::2], made[2::2], strict=True
         ):
-            q, v = states_of(copies, links, written, trial)
+            q, v, misfits[trial.name] = states_of(copies, links, written, trial)
             energies = [
                 f"/forceset/{e.get('name')}/dissipated_energy"
                 for e in file.model.iterfind("ForceSet/objects/BushingForce")
@@ -516,6 +546,12 @@ def export_opensim(
             f"{np.rad2deg(x):.1f} degrees, so that feet stay where they were"
             for name, x in largest.items()
             if x > np.deg2rad(0.05)
+        ),
+        *(
+            f"{name}: feet are up to {1e6 * off:.1f} micrometres (or "
+            "microradians) from where they were, out of a leg's reach"
+            for name, off in misfits.items()
+            if off > _TOLD
         ),
         *(
             f"{trial.name}: chair and loads act on the {body} by "

@@ -658,25 +658,79 @@ def test_the_command(case, capsys):
     )
 
 
-@pytest.mark.parametrize("off", [5e-9, 2e-8, 1.0])
-def test_what_cannot_be_reached_is_refused(tmp_path, monkeypatch, off):
-    """After the last step a hundredth of a micrometre may be left."""
+@pytest.mark.parametrize("off", [0.0, 1.0])
+def test_a_frame_is_put_on_its_target(tmp_path, monkeypatch, off):
     (tmp_path / "m.osim").write_text(small_osim())
     osim = read_osim(tmp_path / "m.osim")
     pelvis = opensim_export.Copy("pelvis", Pose(np.eye(3), np.zeros(3)), "")
     names = opensim_export._root(osim)
     assert names == ["pelvis_tilt", "pelvis_tx", "pelvis_ty"]
-    q, v = {name: np.zeros(1) for name in names}, {}
-    monkeypatch.setattr(opensim_export, "_STEPS", 1)
+    q, v = ({name: np.zeros(1) for name in names} for _ in range(2))
     target, rate = np.zeros((2, 1, 6))
     target[0, 1], rate[0, :3] = off, (0.3, 0.4, 0.5)
-    said = (osim, q, v, names, pelvis, target, rate, [0, 1, 2], "the_pelvis")
-    if off > 1e-8:
-        with pytest.raises(InputError, match="cannot put the the pelvis"):
-            opensim_export._reach(*said)
-        return
-    opensim_export._reach(*said)
+    said = (osim, q, v, names, pelvis, target, rate, [0, 1, 2])
+    assert opensim_export._reach(*said) == pytest.approx([0.0], abs=1e-12)
+    assert q["pelvis_ty"] == pytest.approx([off])
     assert [v[name][0] for name in names] == pytest.approx([0.5, 0.3, 0.4])
+    monkeypatch.setattr(opensim_export, "_STEPS", 0)
+    target[0, 1] += 0.2
+    assert opensim_export._reach(*said) == pytest.approx([0.2])
+
+
+@pytest.mark.parametrize("short", [-1e-4, 5e-6])
+def test_a_leg_too_short_is_stretched(tmp_path, short):
+    """As a knee that slides may leave it, by micrometres."""
+    (tmp_path / "m.osim").write_text(small_osim("PinJoint"))
+    osim = read_osim(tmp_path / "m.osim")
+    names = ["hip_flexion_r", "knee_angle_r", "ankle_angle_r"]
+    q, v = ({name: np.zeros(1) for name in names} for _ in range(2))
+    thigh, shank = -0.004 - 0.40j, 0.002 - 0.42j  # of the small model
+    straight = np.angle(thigh / shank)
+    down = thigh / abs(thigh)
+    place = -0.06 - 0.07j + down * (abs(thigh) + abs(shank) + short)
+    pulled = 0.01 * down
+    target, rate = np.zeros((2, 1, 6))
+    target[0, :2], rate[0, :2] = ((x.real, x.imag) for x in (place, pulled))
+    q["knee_angle_r"] += straight - 0.01
+    ankle = opensim_export.Copy("talus_r", Pose(np.eye(3), np.zeros(3)), "_r")
+    said = (osim, q, v, names, ankle, target, rate, [0, 1, 2])
+    (off,) = opensim_export._reach(*said)
+    bend, speed = q["knee_angle_r"][0] - straight, v["knee_angle_r"][0]
+    # Law of cosines: the length's loss and its rate by the knee's bend.
+    by = 0.40 * 0.42 / (0.40 + 0.42)
+    if short < 0.0:
+        assert off < 1e-13
+        assert bend == pytest.approx(-np.sqrt(-2.0 * short / by), rel=1e-3)
+        assert -by * bend * speed == pytest.approx(0.01, rel=1e-3)
+    else:
+        assert off == pytest.approx(short, rel=1e-3)
+        assert abs(bend) < 1e-3 and abs(speed) < 1e-3
+
+
+@pytest.mark.slow
+def test_knees_that_pass_through_straight_keep_their_side(case):
+    """A leg of pins is as long bent as bent backwards."""
+    one = case("alone", "PinJoint")
+    knee = one.model.coordinates.names.index("knee")
+    q, v = one.trial.q.copy(), one.trial.v.copy()
+    q[:, knee], v[:, knee] = np.linspace(-0.05, 0.05, len(q)), 1.25
+    replace(one.trial, q=q, v=v).save(one.folder / "solution_a")
+    table = read_table(one.export().files[1])
+    for end in "lr":
+        own = f"/jointset/knee_{end}/knee_angle_{end}"
+        angles = table.column(f"{own}/value")
+        assert np.diff(angles) == pytest.approx(np.full(len(q) - 1, -0.0125))
+        assert table.column(f"{own}/speed") == pytest.approx(-v[:, knee])
+
+
+@pytest.mark.slow
+def test_feet_that_cannot_be_reached_are_refused(case, monkeypatch):
+    one = case("alone")
+    monkeypatch.setattr(opensim_export, "_STEPS", 0)
+    with pytest.raises(InputError, match=r"put the \w+ where .* in a at 0"):
+        one.export()
+    monkeypatch.setattr(opensim_export, "_FARTHEST", 10.0)
+    assert "feet are up to" in " ".join(one.export().lines)
 
 
 def test_coordinates_that_follow_others_move_with_them():
