@@ -238,7 +238,7 @@ class BatchProgress:
             parts.append(f"{failed} failed")
         parts.append(f"{len(running)} running")
         left = _left_seconds(ended, running, jobs, pool.workers())
-        if left is not None:
+        if left:
             parts.append(f"about {_duration(left)} left")
         lines = [
             f"{self.title}: {', '.join(parts)} ({now - self._start:.0f} s)"
@@ -292,8 +292,11 @@ class Heard:
                 self._say(line)
 
 
-def _left_seconds(ended, running, jobs, workers) -> float | None:
-    """Time left [s], by mean times of jobs whose names end in the same part."""
+def _left_seconds(ended, running, jobs, workers) -> float:
+    """Time left [s], by mean times of jobs whose names end in the same part.
+
+    0 if nothing tells it: no job has ended, or all that are left are overdue.
+    """
 
     def kind(name: str) -> str:
         return name.rpartition("/")[2]
@@ -303,7 +306,7 @@ def _left_seconds(ended, running, jobs, workers) -> float | None:
         if row.state == "done" and row.seconds > 0.0:
             times.setdefault(kind(row.name), []).append(row.seconds)
     if not times:
-        return None
+        return 0.0
     means = {k: sum(t) / len(t) for k, t in times.items()}
     usual = sum(means.values()) / len(means)
     left = 0.0

@@ -372,6 +372,13 @@ def test_progress_counts_and_estimates(tmp_path, monkeypatch, capsys):
     first, line = capsys.readouterr().out.splitlines()
     assert "2/4 done, 1 failed, 1 running, about 1 min 55 s left" in first
     assert line == "  s2/check, 5 s: iteration 7"
+    # A job that is overdue does not end in no time.
+    ended["s3/check"] = Ended("s3/check", "done", seconds=0.1)
+    ended["s0/check"] = ended["s3/check"]
+    now[0] = 62.0
+    say.update(ended, pool, jobs)
+    first, _ = capsys.readouterr().out.splitlines()
+    assert first == "batch: 3/4 done, 1 failed, 1 running (62 s)"
 
 
 class Clocked:
