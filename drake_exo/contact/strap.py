@@ -420,9 +420,9 @@ class Design:
             cuffs = {c for c, (_, k) in model.tree.cuffs.items() if k in beyond}
             if cuffs <= set(self.removed):
                 raise InputError(
-                    f"{DESIGN}: without the cuff {' and '.join(sorted(cuffs))} "
+                    f"without the cuff {' and '.join(sorted(cuffs))} "
                     f"nothing holds the device beyond {joint}, which would "
-                    "turn freely; keep one of its cuffs"
+                    "turn freely; keep one of its cuffs in the design"
                 )
 
     def model(self, model: Model) -> Model:
