@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "results",
         type=Path,
         metavar="DIR",
-        help="results of calibrate or predict",
+        help="results of calibrate, predict or design",
     )
     opensim.add_argument(
         "--model", type=Path, required=True, help="the scaled .osim file"

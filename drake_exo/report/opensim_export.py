@@ -26,6 +26,7 @@ from drake_exo.calibration.results import (
 )
 from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.parameters import ContactModel
+from drake_exo.contact.strap import DESIGN, read_design
 from drake_exo.errors import InputError
 from drake_exo.files import osim as xml
 from drake_exo.files.opensim import write_table
@@ -460,7 +461,8 @@ def export_opensim(
     """Write an OpenSim model with calibrated contacts, states and forces.
 
     Args:
-        folder: that `calibrate` or `predict` wrote.
+        folder: that `calibrate`, `predict` or `design` wrote; of a design its
+            cuffs and joints, without movements.
         model_file: the scaled model that the study's person was read from.
         out: the .osim file to write; states and forces go beside it.
         force: whether to replace files.
@@ -471,6 +473,8 @@ def export_opensim(
     """
     folder, out = Path(folder), Path(out)
     (contact, mark), model = _contact(folder, accept), read_model(folder)
+    if (folder / DESIGN).is_file():  # the model is today's
+        model = read_design(folder).model(model)
     if contact.ground.law != "simbody":
         raise InputError(
             f"{folder}: its foot-ground law is {contact.ground.law!r}, which "

@@ -15,6 +15,12 @@ from drake_exo.cli import main
 from drake_exo.contact.bushing import bushing_deflection, bushing_force
 from drake_exo.contact.hunt_crossley import SimbodyConstants, sphere_wrench
 from drake_exo.contact.parameters import nominal_contact
+from drake_exo.contact.strap import (
+    CuffDesign,
+    Design,
+    JointDesign,
+    write_design,
+)
 from drake_exo.errors import InputError
 from drake_exo.files.opensim import read_table
 from drake_exo.files.osim import OsimCoupler, OsimFile, Pose, read_osim
@@ -425,11 +431,24 @@ def frame_of(file, force, number, model, q, n):
     return at[:, 0] + 1j * at[:, 1], R_F[:, 0, 0] + 1j * R_F[:, 1, 0]
 
 
+def designed(case):
+    """As `drake-exo design` writes: today's model, contact of the design."""
+    one = case("coupled", "PinJoint")
+    design = Design(
+        {"thigh": CuffDesign(along_m=0.03, preload_across_m=0.004)},
+        joints={"exo_knee": JointDesign(0.02, -0.01)},
+    )
+    write_design(one.folder, design)
+    contact = design.contact(one.contact)
+    write_contact(one.folder, contact)
+    return replace(one, model=design.model(one.model), contact=contact)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["coupled", "hip", "turned ankle"])
+@pytest.mark.parametrize("kind", ["coupled", "designed", "hip", "turned ankle"])
 def test_cuffs_that_are_written_give_the_calibrated_forces(case, kind):
     """Bushings of the file alone: where they hold, and their numbers."""
-    one = case(kind, "PinJoint")
+    one = designed(case) if kind == "designed" else case(kind, "PinJoint")
     out, model, q, v = exported(one)
     n, h = len(one.trial.times), 1e-6
     forces = {
