@@ -441,6 +441,11 @@ def _write(
             "\nmeasured in the device of today: these differences include what "
             "the design changes"
         )
+    if summary["design"] and summary["controller"]:
+        text += (
+            "\nthe controller gives the device's torques: the design's "
+            "assistance and gains have no effect"
+        )
     write_text(out / "rmsd.txt", text, verdict.mark)
     print(text)
     rows = [

@@ -26,6 +26,7 @@ from drake_exo.cli.predict import (
 )
 from drake_exo.contact.parameters import Posterior, nominal_contact
 from drake_exo.contact.strap import Design, Gains
+from drake_exo.contact.systems import AssistController
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
     Check,
@@ -279,7 +280,12 @@ def test_differences_from_another_device_say_so(
     study = Study(made.model, made.trials, prediction=settings)
     audit = Audit("rise1", 0.0, 0.0, (0.0, 0.0), 0.0)
     monkeypatch.setattr(Prediction, "audit", lambda found: audit)
-    more = {"usual": made.contact, "worn": Design(gains={"exo_hip": Gains()})}
+    more = {
+        "usual": made.contact,
+        "worn": Design(gains={"exo_hip": Gains()}),
+        "controller": AssistController(),
+        "controller_name": "drake_exo:AssistController",
+    }
     with undrawn():
         write_predictions(
             study, made.contact, tmp_path, **(more if designed else {})
@@ -290,6 +296,7 @@ def test_differences_from_another_device_say_so(
     for text in ((tmp_path / "rmsd.txt").read_text(), printed):
         assert "movements start from" in text
         assert ("measured in the device of today" in text) == designed
+        assert ("gains have no effect" in text) == designed
         assert ("accuracy" in text) == (not designed and text is printed)
 
 
