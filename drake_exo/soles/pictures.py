@@ -236,7 +236,7 @@ def stiffness_figure(
             for k, (first, end) in enumerate(strikes):
                 axis.axvspan(
                     t[first], t[end - 1], color=COLOURS[4], alpha=0.15,
-                    lw=0, label="" if k else "heel strike",
+                    lw=1, label="" if k else "heel strike",
                 )  # fmt: skip
             axis.margins(x=0.01)
         axes[0, column].set_title(_as_written(name))

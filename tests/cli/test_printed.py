@@ -345,12 +345,12 @@ def test_the_mesh_is_timed_by_itself(monkeypatch, tmp_path, capsys):
     )
     written = []
     step = SimpleNamespace(
-        c_tr=1.0, c_rot=2.0, c=3.0, times=range(4),
+        c_tr=1.0, c_rot=2.0, c=3.0,
         write=lambda *said: written.append(said) or Verdict(()),
     )  # fmt: skip
     case = SimpleNamespace(
         name="a", load=SimpleNamespace(times=range(4)),
-        simulate=lambda tell: step,
+        mesh=SimpleNamespace(tets=range(9)), simulate=lambda tell: step,
         settings=SimpleNamespace(files=[]),
     )  # fmt: skip
     monkeypatch.setattr(sole, "_case", lambda args: case)
@@ -360,7 +360,11 @@ def test_the_mesh_is_timed_by_itself(monkeypatch, tmp_path, capsys):
     )  # fmt: skip
     sole._simulate(args)
     assert written[0][1] == {"mesh_seconds": 2.25}
-    assert "4 samples" in capsys.readouterr().out
+    said = capsys.readouterr().out.splitlines()
+    assert said[:2] == [
+        "a: 9 tets, 4 samples",
+        "a: c_tr 1 N/m, c_rot 2 N·m/rad, c 3",
+    ]
 
 
 def test_a_study_is_looked_for_beside_its_case(monkeypatch, tmp_path):
