@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from matplotlib.text import Text
 from measured_trials import CUFFS, JOINTS, NAMES, prediction, seen
 from replayed_results import CONTACT, solution
@@ -785,6 +786,21 @@ def test_one_trial_at_a_glance(trials, found):
         np.testing.assert_allclose([y.min(), y.max()], around)
     assert "measured" not in lines(axes["shank normal [N]"])
     assert [t.get_text() for t in figure.texts] == [measured.name]
+
+
+def test_texts_beside_a_drawing_follow_each_other():
+    """As far apart as their lines are high; a larger figure shows less a m."""
+    apart = []
+    for larger in (1.0, 2.0):
+        axis = Figure().subplots()
+        axis.set(xlim=(0.0, 1.0), ylim=(0.0, 2.0))
+        same = np.array([0.5, 1.0])
+        texts = {"left": same, "right": same, "two\nlines": same}
+        figures._write_beside(axis, texts, larger)
+        heights = [text.xyann[1] for text in axis.texts]
+        apart.append(-np.diff(heights))
+    assert apart[0] == pytest.approx([0.084, 0.126])
+    assert apart[1] == pytest.approx(0.5 * apart[0])
 
 
 @pytest.mark.slow

@@ -677,8 +677,8 @@ def test_the_command(case, capsys):
     )
 
 
-@pytest.mark.parametrize("off", [0.0, 1.0])
-def test_a_frame_is_put_on_its_target(tmp_path, monkeypatch, off):
+@pytest.mark.parametrize(("off", "turn"), [(0.0, 0.0), (1.0, np.pi + 0.1)])
+def test_a_frame_is_put_on_its_target(tmp_path, monkeypatch, off, turn):
     (tmp_path / "m.osim").write_text(small_osim())
     osim = read_osim(tmp_path / "m.osim")
     pelvis = opensim_export.Copy("pelvis", Pose(np.eye(3), np.zeros(3)), "")
@@ -686,7 +686,7 @@ def test_a_frame_is_put_on_its_target(tmp_path, monkeypatch, off):
     assert names == ["pelvis_tilt", "pelvis_tx", "pelvis_ty"]
     q, v = ({name: np.zeros(1) for name in names} for _ in range(2))
     target, rate = np.zeros((2, 1, 6))
-    target[0, 1], rate[0, :3] = off, (0.3, 0.4, 0.5)
+    target[0, 1:3], rate[0, :3] = (off, turn), (0.3, 0.4, 0.5)
     said = (osim, q, v, names, pelvis, target, rate, [0, 1, 2])
     assert opensim_export._reach(*said) == pytest.approx([0.0], abs=1e-12)
     assert q["pelvis_ty"] == pytest.approx([off])
