@@ -145,7 +145,7 @@ def _laboratory(path: Path, study: RecordedStudy) -> dict:
     return about
 
 
-_WINDOW = "rise", "seated_s", "start_s", "end_s", "begin", "end"
+_WINDOW = "rise", "sit", "seated_s", "start_s", "end_s", "begin", "end"
 
 
 def _windows(study: RecordedStudy) -> dict[str, dict]:

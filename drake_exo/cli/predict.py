@@ -407,12 +407,17 @@ def _summary(
             else "their first measured state"
             if study.model.assembly.human.sides
             else "the measured chair force"
-            if any(t.chair_shares for t in trials)
+            if any(t.chair_shares for t in trials if _part(t) != "sit")
             else "seat-off or later, without a chair"
-            if all("rise" in t.provenance.get("part", ()) for t in trials)
+            if all(_part(t) == "rise" for t in trials)
             else "their first measured state"
         ),
     }
+
+
+def _part(trial: Trial) -> str | None:
+    """What a trial was cut from a recording as."""
+    return trial.provenance.get("part", {}).get("from")
 
 
 def _write(

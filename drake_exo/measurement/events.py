@@ -53,6 +53,36 @@ class Rise:
     chair_bore_weight: bool
     standing_is_steady: bool
 
+    @property
+    def part(self) -> tuple[float, float]:
+        """Where a trial of it starts and ends [s]."""
+        return self.seat_off_s, self.standing_s
+
+
+@dataclass(frozen=True)
+class Sit:
+    """One stand-to-sit movement, likewise: a rise backwards.
+
+    Attributes:
+        standing_s: until when body weight is borne steadily, else the top.
+        halfway_s: when the hips pass half their vertical range.
+        seat_on_s: until when the chair bears no weight (if it never does:
+            when the hips are lowest).
+        chair_bore_weight: whether a chair bore weight afterwards.
+        standing_is_steady: whether it was, after the movement before.
+    """
+
+    standing_s: float
+    halfway_s: float
+    seat_on_s: float
+    chair_bore_weight: bool
+    standing_is_steady: bool
+
+    @property
+    def part(self) -> tuple[float, float]:
+        """Where a trial of it starts and ends [s]."""
+        return self.standing_s, self.seat_on_s
+
 
 def find_rises(
     time: np.ndarray,
@@ -98,6 +128,21 @@ def find_rises(
             )
         )
     return rises
+
+
+def find_sits(time, hip_z, chair_force, F_z, weight: float) -> list[Sit]:
+    """Find the stand-to-sit movements of a recording; as `find_rises`."""
+    signals = (x[::-1] for x in (-time, hip_z, chair_force, F_z))
+    return [
+        Sit(
+            -back.standing_s,
+            -back.halfway_s,
+            -back.seat_off_s,
+            back.chair_bore_weight,
+            back.standing_is_steady,
+        )
+        for back in reversed(find_rises(*signals, weight))
+    ]
 
 
 def _seat_off(hip_z, chair_force, weight, before, up):

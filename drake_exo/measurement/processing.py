@@ -13,9 +13,11 @@ from drake_exo.files.tables import MarkerData, between
 from drake_exo.measurement.events import (
     Contact,
     Rise,
+    Sit,
     contacts,
     event_s,
     find_rises,
+    find_sits,
     until_seat_off,
 )
 from drake_exo.measurement.exoskeleton import (
@@ -142,9 +144,10 @@ class Recording:
         motion: of the body.
         forces: filtered forces of the plates on the markers' clock.
         feet: foot -> wrench (N,) at the markers' times.
-        chair: wrench (N,) of the chair until seat-off; None without a plate
-            under it.
+        chair: wrench (N,) of the chair while it bears weight; None without a
+            plate under it.
         rises: sit-to-stand rises found.
+        sits: stand-to-sit movements found.
         contacts: side -> periods in which that foot stood on its own plates.
         angles: of the encoders, None without a file.
         moments: recorded exoskeleton moments, None without a file.
@@ -160,6 +163,7 @@ class Recording:
     feet: dict[str, PlanarWrench]
     chair: PlanarWrench | None
     rises: list[Rise]
+    sits: list[Sit]
     contacts: dict[str, list[Contact]]
     angles: Signal | None
     moments: Signal | None
@@ -320,12 +324,14 @@ class Recordings:
             if laboratory.estimate_pressure_delay:
                 clocks["pressure"] = _TO_FIND
             mats = tuple(mat.delayed(lag) for mat in mats)
+        seating = _seating(motion, feet, chair, forces, model.rigid)
         return Recording(
             motion,
             forces,
             feet,
             chair,
-            _rises(motion, feet, chair, forces, model.rigid),
+            find_rises(*seating),
+            find_sits(*seating),
             stood,
             angles,
             moments,
@@ -601,6 +607,7 @@ def _recording(files: TrialFiles) -> TrialFiles:
         name="",
         use="calibration",
         rise=None,
+        sit=None,
         seated_s=0.0,
         start_s=None,
         end_s=None,
@@ -640,8 +647,11 @@ def needed_force(rigid: Model, motion: Motion) -> np.ndarray:
     return rigid.tree.ground_reaction(motion.q, Q)[:, 1]
 
 
-def _rises(motion, feet, chair, forces, rigid: Model) -> list[Rise]:
-    """Rises; without a chair's plate its force is what the feet do not bear."""
+def _seating(motion, feet, chair, forces, rigid: Model) -> tuple:
+    """What tells rises and sits, see `find_rises`.
+
+    Without a chair's plate its force is what the feet do not bear.
+    """
     F_z = forces.total(feet)
     on_chair = (
         needed_force(rigid, motion) - F_z if chair is None else chair.force_z
@@ -649,7 +659,7 @@ def _rises(motion, feet, chair, forces, rigid: Model) -> list[Rise]:
     # Loads rest on the feet, too; `own` is the body's part.
     own = F_z + sum(w.force_z for w in motion.applied.values())
     weight = rigid.tree.weight
-    return find_rises(motion.time, motion.hip_z, on_chair, own, weight)
+    return motion.time, motion.hip_z, on_chair, own, weight
 
 
 def _force_delay(
@@ -683,7 +693,7 @@ def _borne_by_feet(motion, forces: FootForces, rigid: Model) -> np.ndarray:
     """Frames (N,) bool with no chair: rises, or else those under load."""
     time, feet = motion.time, forces.at(motion.time)
     F_z = forces.total(feet)
-    rises = _rises(motion, feet, None, forces, rigid)
+    rises = find_rises(*_seating(motion, feet, None, forces, rigid))
     used = np.zeros(len(time), bool)
     for rise in rises:
         used |= (time >= rise.seat_off_s) & (time <= rise.standing_s)
@@ -760,19 +770,25 @@ def _bounds(files: TrialFiles, recording: Recording):
     time = recording.motion.time
     start, end = float(time[0]), float(time[-1])
     how: dict[str, Any] = {"from": "whole recording"}
-    if files.rise is not None:
-        found = recording.rises
-        if files.rise > len(found):
+    for what, number, found in (
+        ("rise", files.rise, recording.rises),
+        ("sit", files.sit, recording.sits),
+    ):
+        if number is None:
+            continue
+        if number > len(found):
             raise InputError(
-                f"trial {files.name}: rise {files.rise} was asked for, but "
+                f"trial {files.name}: {what} {number} was asked for, but "
                 f"{len(found)} were found in {files.markers}; give start_s "
                 "and end_s instead"
             )
-        rise = found[files.rise - 1]
-        start, end = rise.seat_off_s, rise.standing_s
-        how = {"from": "rise", "rise": files.rise, **vars(rise)}
+        movement = found[number - 1]
+        start, end = movement.part
+        how = {"from": what, what: number, **vars(movement)}
         if files.seated_s > 0.0:
-            start, how["seated_s"] = start - files.seated_s, files.seated_s
+            how["seated_s"] = files.seated_s
+            start -= files.seated_s if what == "rise" else 0.0
+            end += files.seated_s if what == "sit" else 0.0
     if files.start_s is not None:
         start, how["start_s"] = files.start_s, files.start_s
     if files.end_s is not None:

@@ -587,12 +587,14 @@ class TrialFiles:
         empty_plates: recording of the same plates with nothing on them; it
             levels plates that are never unloaded in the trial.
         rise: which sit-to-stand rise found in the recording is used, from 1.
-        seated_s: how long before seat-off the used part starts; needs the
-            chair's plate.
-        start_s: start of the used part, instead of a rise that is found, or
-            to overrule its start.
-        end_s: end of the used part, instead of a rise that is found, or to
-            overrule its end.
+        sit: which stand-to-sit movement found in the recording is used, from
+            1.
+        seated_s: how long before seat-off a rise's used part starts, or after
+            the first touch of the chair a sit's ends; needs the chair's plate.
+        start_s: start of the used part, instead of a rise or sit that is
+            found, or to overrule its start.
+        end_s: end of the used part, instead of a rise or sit that is found,
+            or to overrule its end.
         begin: start of the used part by an event of a walk, such as
             `toe_off left 1`: heel_strike or toe_off, the foot, and the event's
             number in the recording, from 1.
@@ -612,6 +614,7 @@ class TrialFiles:
     pressure_delay_s: float | None = quantity("s", None)
     empty_plates: Path | None = None
     rise: int | None = quantity(None, None, minimum=1)
+    sit: int | None = quantity(None, None, minimum=1)
     seated_s: float = quantity("s", 0.0, minimum=0.0)
     start_s: float | None = quantity("s", None)
     end_s: float | None = quantity("s", None)
@@ -635,8 +638,14 @@ class TrialFiles:
                 )
         mats = [name for file in self.pressure for name in file.mats]
         _once(mats, "pressure names {} in two files, and its force")
-        if self.seated_s > 0.0 and self.rise is None:
-            raise InputError("seated_s counts back from a rise; name it")
+        if self.rise is not None and self.sit is not None:
+            raise InputError(
+                "rise and sit both say which part is used; leave one out"
+            )
+        if self.seated_s > 0.0 and self.rise is None and self.sit is None:
+            raise InputError(
+                "seated_s counts back from a rise, or on from a sit; name one"
+            )
         if self.seated_s > 0.0 and self.plates.chair is None:
             raise InputError(
                 "seated_s needs the chair's plate; name it in plates.chair"

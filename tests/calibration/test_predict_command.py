@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from undrawn import undrawn
 
-from drake_exo.calibration.audit import Audit
+from drake_exo.calibration.audit import Audit, spread
 from drake_exo.calibration.results import (
     read_contact,
     read_trial,
@@ -37,7 +37,7 @@ from drake_exo.files.output import (
 )
 from drake_exo.measurement.sagittal import PlanarWrench
 from drake_exo.measurement.settings import Device, JointDrive
-from drake_exo.study import Prediction, Study
+from drake_exo.study import Prediction, Study, predict, read_study
 from drake_exo.virtual_laboratory import synthetic
 
 
@@ -48,6 +48,23 @@ def summary(command, calibrated):
     with undrawn():
         assert main([*command("predict"), *more]) == 0
     return json.loads((out / "summary.json").read_text("utf-8"))
+
+
+@pytest.mark.slow
+def test_sits_are_predicted_by_the_contact_of_rises(
+    calibrated, data_root, tmp_path
+):
+    """Each nearer than a standard deviation of what was measured."""
+    path = Path(__file__).parents[1] / "studies" / "opencap_sit.yaml"
+    study = read_study(path, data_root)
+    contact, _ = study.calibrated(calibrated)
+    trials = study.trials("prediction")
+    sd = spread(trials, study.model.tree)
+    for trial in trials[:2]:
+        row = predict(study, trial, contact).rmsd(trial)
+        for key, limit in (("angles_deg", 3.3), ("grf_n", 10.0)):
+            for name, value in row[key].items():
+                assert value < min(sd[key][name], limit)
 
 
 @pytest.mark.slow
@@ -307,14 +324,16 @@ def test_movements_start_from_a_chair_only_where_it_bears():
     rise = {"part": {"from": "rise", "rise": 1}}
     squat = {"part": {"from": "whole recording", "start_s": 2.0}}
     starts = []
-    for share, origin in ((0.0, rise), (0.3, rise), (0.0, squat)):
+    sit = {"part": {"from": "sit", "sit": 1, "seated_s": 0.5}}
+    given = (0.0, rise), (0.3, rise), (0.0, squat), (0.3, sit)
+    for share, origin in given:
         chair = PlanarWrench.of(share * trial.ground.array)
         seated = replace(trial, chair=chair, provenance=origin)
         found = _summary(Study(model, [seated]), [], [seated], None)
         starts.append(found["starts_from"])
     assert starts[0].startswith("seat-off")
     assert starts[1] == "the measured chair force"
-    assert starts[2] == "their first measured state"
+    assert starts[2:] == ["their first measured state"] * 2
     settings = PredictionSettings(
         ends="periodic", speed_m_s=1.2, torque_limit_nm=200.0
     )

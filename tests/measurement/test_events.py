@@ -10,10 +10,11 @@ from drake_exo.measurement.events import (
     event_of,
     event_s,
     find_rises,
+    find_sits,
     heel_strikes,
     until_seat_off,
 )
-from drake_exo.measurement.processing import _rises
+from drake_exo.measurement.processing import _seating
 from drake_exo.measurement.sagittal import PlanarWrench
 
 TIME = np.arange(600) / 100.0
@@ -63,7 +64,8 @@ def test_standing_is_found_whatever_is_carried(rise, kg):
     motion = SimpleNamespace(time=TIME, hip_z=hip, applied={"pelvis": carried})
     plates = SimpleNamespace(total=lambda feet: F_z + 9.81 * kg)
     rigid = SimpleNamespace(tree=SimpleNamespace(weight=WEIGHT))
-    assert _rises(motion, {}, wrench(chair), plates, rigid) == [plain]
+    seating = _seating(motion, {}, wrench(chair), plates, rigid)
+    assert find_rises(*seating) == [plain]
 
 
 def test_a_push_before_seat_off_is_no_seat_off(rise):
@@ -96,6 +98,29 @@ def test_the_chair_bears_until_a_twentieth_of_the_weight_is_left():
 def test_sitting_down_is_no_rise(rise):
     hip, chair, F_z = (x[::-1] for x in rise)
     assert find(hip, chair, F_z) == []
+
+
+def test_a_sit_is_a_rise_backwards(rise):
+    """From steady standing until the chair bears a twentieth of the weight."""
+    (up,) = find(*rise)
+    hip, chair, F_z = (x[::-1] for x in rise)
+    (down,) = find_sits(TIME, hip, chair, F_z, WEIGHT)
+    assert down.part == pytest.approx(
+        (5.99 - up.standing_s, 5.99 - up.seat_off_s)
+    )
+    at = np.searchsorted(TIME, down.seat_on_s - 1e-9)
+    assert chair[at] < 0.05 * WEIGHT < chair[at + 1]
+    assert down.halfway_s == pytest.approx(5.99 - up.halfway_s)
+    assert down.chair_bore_weight and down.standing_is_steady
+    assert find_sits(TIME, *rise, WEIGHT) == []
+
+
+def test_sits_are_numbered_as_they_come(rise):
+    """Down, up and down again."""
+    hip, chair, F_z = (np.concatenate([x[::-1], x, x[::-1]]) for x in rise)
+    time = np.arange(1800) / 100.0
+    first, second = find_sits(time, hip, chair, F_z, WEIGHT)
+    assert first.seat_on_s < 6.0 and second.standing_s > 12.0
 
 
 def test_half_a_rise_is_none(rise):

@@ -624,6 +624,11 @@ def test_refuses_a_rise_that_is_not_there(files):
     trial = replace(study.trials[0], rise=3)
     message = refusal(replace(study, trials=(trial,)), folder)
     assert "rise 3 was asked for, but 2 were found" in message
+    trial = replace(study.trials[0], rise=None, sit=2)
+    message = refusal(replace(study, trials=(trial,)), folder)
+    assert "sit 2 was asked for, but 1 were found" in message
+    with pytest.raises(InputError, match="rise and sit both say which part"):
+        replace(study.trials[0], sit=1)
 
 
 @pytest.mark.slow
@@ -671,6 +676,14 @@ def test_real_rises_are_found(data_root, request):
         i = np.searchsorted(recording.motion.time, rise.seat_off_s - 1e-9)
         F_z = sum(w.force_z[i] for w in recording.feet.values())
         assert 650.0 < F_z < 850.0
+    sits = [sit.halfway_s for sit in recording.sits]
+    # Where the recorded inverse kinematics has the pelvis come down past it.
+    np.testing.assert_allclose(
+        sits, [2.20, 4.85, 7.41, 10.13, 12.92], atol=0.04
+    )
+    for sit in recording.sits:
+        assert sit.chair_bore_weight and sit.standing_is_steady
+        assert 0.5 < sit.seat_on_s - sit.standing_s < 0.8
     assert subject.report["standing_mass_kg"] == pytest.approx(60.03, abs=0.01)
 
 

@@ -92,6 +92,25 @@ def test_newton_holds_from_the_chair_to_standing(loaded):
     assert np.abs(force_residual(subject, unaware)).max() > 500.0
 
 
+@pytest.mark.slow
+def test_a_sit_ends_on_the_chair(made):
+    """From standing until half a second after the first touch."""
+    folder, truth, study = made
+    study = with_trial(study, rise=None, sit=1, seated_s=0.5)
+    subject, (trial,) = load(study, folder)
+    part = trial.provenance["part"]
+    assert trial.start_s == pytest.approx(part["standing_s"])
+    end = trial.start_s + trial.times[-1]
+    assert end == pytest.approx(part["seat_on_s"] + 0.5)
+    chair, true = trial.chair.array, truth.chair.array[samples(trial)]
+    assert not chair[0].any() and chair[-1, 1] > 500.0
+    time = trial.start_s + trial.times
+    touched = np.abs(time - part["seat_on_s"]) < 0.1
+    assert np.abs(chair - true)[~touched].max() < 8.0
+    residual = force_residual(subject, trial)
+    assert np.abs(residual[~touched, :2]).max() < 6.0
+
+
 def test_moments_are_the_true_ones(loaded, made):
     _, truth, _ = made
     _, trial = loaded

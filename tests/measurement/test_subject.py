@@ -178,7 +178,8 @@ def test_plates_are_timed_while_they_bear_half_the_body(monkeypatch):
     )  # fmt: skip
     said = []
     monkeypatch.setattr(processing, "needed_force", lambda *_: 2.0 * F_z)
-    monkeypatch.setattr(processing, "_rises", lambda *_: [])
+    monkeypatch.setattr(processing, "_seating", lambda *_: ())
+    monkeypatch.setattr(processing, "find_rises", lambda *_: [])
     monkeypatch.setattr(
         processing, "force_delay", lambda *x: said.append(x) or 0.01
     )
