@@ -22,7 +22,13 @@ from scipy.spatial.transform import Rotation
 
 from drake_exo.errors import InputError
 from drake_exo.files.output import replace_file
-from drake_exo.files.tables import read_text, shown
+from drake_exo.files.tables import (
+    MarkerData,
+    Table,
+    read_text,
+    shown,
+    uniform_time,
+)
 
 _X, _Y, _Z = (tuple(row) for row in np.eye(3))
 # Joints without functions of their own: axes of rotations, translations.
@@ -200,6 +206,56 @@ class OsimModel:
             p_GM = p_GF + np.einsum("nij,nj->ni", R_GF, p)
             found[joint.child] = (R_GC, p_GM - R_GC @ joint.X_CM.p)
         return found
+
+    def markers_along(self, table: Table) -> MarkerData:
+        """Paths of the markers as coordinates of a file move them.
+
+        Args:
+            table: of inverse kinematics (`hip_flexion_r`) or states
+                (`/jointset/hip_r/hip_flexion_r/value`).
+
+        Raises:
+            InputError: a coordinate is absent, angles are in no known unit,
+                or times are uneven.
+        """
+        turning = {a.coordinate for j in self.joints for a in j.turns}
+        short = {
+            n: n.removesuffix("/value").rpartition("/")[2] for n in table.names
+        }
+        named = {
+            last: name
+            for name, last in short.items()
+            if not name.endswith("/speed")
+        }
+        table = table.in_radians([n for c, n in named.items() if c in turning])
+        q = {name: table.column(of) for name, of in named.items()}
+        for coupler in self.couplers:  # inverse kinematics may leave them out
+            if coupler.independent in q:
+                at = q[coupler.independent]
+                q.setdefault(coupler.dependent, coupler.function(at, 0))
+        for joint in self.joints:
+            for name in joint.coordinates:
+                if name not in q:
+                    raise InputError(
+                        f"{table.source}: has no column for coordinate "
+                        f"{name!r} of {self.source}; give markers, or what "
+                        "inverse kinematics found with that model"
+                    )
+        time = uniform_time(table.source, table.time)
+        poses = self.poses(q, len(time))
+        paths = [
+            p + R @ at
+            for (R, p), at in (
+                (poses[body], place) for body, place in self.markers.values()
+            )
+        ]
+        return MarkerData(
+            time,
+            tuple(self.markers),
+            np.stack(paths, axis=1),
+            float(1.0 / (time[1] - time[0])),
+            table.source,
+        )
 
     def motion(self, coordinate: str, body: str, p_GQ, q, poses):
         """Partial velocities of a body and of a point on it.

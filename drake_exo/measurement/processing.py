@@ -248,7 +248,7 @@ class Recordings:
         """Read, clean, synchronise and filter a recording; see `of`."""
         settings, root = self._settings, self._root
         laboratory, low_pass_filter = self._laboratory, self._filter
-        seen = read_markers(root / files.markers, low_pass_filter)
+        seen = read_markers(files.markers, settings, root)
         recorded = _on_belt(seen, settings)
         absent: tuple[str, ...] = ()
         if settings.markers is None:

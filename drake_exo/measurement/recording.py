@@ -11,8 +11,9 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.c3d import read_c3d
-from drake_exo.files.opensim import read_plates, read_trc
+from drake_exo.files.opensim import read_plates, read_table, read_trc
 from drake_exo.files.optitrack import read_markers_csv, read_plate_csv
+from drake_exo.files.osim import read_osim
 from drake_exo.files.tables import (
     MarkerData,
     PlateRecording,
@@ -27,6 +28,7 @@ from drake_exo.measurement.settings import (
     Filter,
     Laboratory,
     Plates,
+    RecordingSettings,
     Standing,
     TrialFiles,
 )
@@ -261,17 +263,26 @@ def _read_plates(path: Path) -> tuple[np.ndarray, Mapping[int, PlateRecording]]:
     return uniform_time(str(path), time), recorded
 
 
-def read_markers(path: Path, settings: Filter) -> MarkerData:
+def read_markers(
+    file: Path, settings: RecordingSettings, root: Path
+) -> MarkerData:
     """Read a marker file (.trc, .c3d, Motive's .csv) onto an even time base.
+
+    Coordinates of the study's OpenSim model (.mot, .sto) move its markers.
 
     Raises:
         InputError: unreadable, of another kind, or uneven in time; too short
             or too slow for the filter.
     """
-    read = _MARKER_READERS[kind_of(path, _MARKER_READERS, "a marker file")]
-    data = read(path)
+    path, osim = root / file, settings.assembly.human.osim
+    if osim is not None and path.suffix.lower() in (".mot", ".sto"):
+        data = read_osim(root / osim).markers_along(read_table(path))
+    else:
+        read = _MARKER_READERS[kind_of(path, _MARKER_READERS, "a marker file")]
+        data = read(path)
     time = uniform_time(data.source, data.time, data.rate_hz)
-    check_filterable(data.source, len(time), data.rate_hz, settings.cutoff_hz)
+    cutoff_hz = settings.filter.cutoff_hz
+    check_filterable(data.source, len(time), data.rate_hz, cutoff_hz)
     return replace(data, time=time)
 
 

@@ -427,7 +427,8 @@ class Standing:
     """Quiet, upright standing; it scales the model and gives the body mass.
 
     Attributes:
-        markers: marker file; the standing posture is its mean.
+        markers: marker file, or coordinates as in a trial; the standing
+            posture is its mean.
         forces: force file of the same trial, if plates were recorded.
         empty_plates: recording of the same plates with nothing on them.
         start_s: start of the quiet part; that of the file by default.
@@ -571,7 +572,8 @@ class TrialFiles:
 
     Attributes:
         name: name of the trial in results.
-        markers: marker file.
+        markers: marker file, or coordinates (.mot, .sto) of
+            `model.human.osim`, as inverse kinematics finds them.
         forces: force file.
         plates: which plate is under which foot.
         use: what the trial is for: to calibrate contact (Phases A and B), or

@@ -210,7 +210,7 @@ def _foot_markers(
     names = _names(settings, foot)
     lab = settings.laboratory
     data, gaps = fill_gaps(
-        read_markers(root / files.markers, settings.filter),
+        read_markers(files.markers, settings, root),
         names,
         lab.fill_gaps_s,
     )

@@ -88,7 +88,7 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     if who.osim is not None:
         height, sex = settings.subject.height_m, settings.subject.sex
         person = read_person(root / who.osim, who, height, sex)
-    recorded = read_markers(root / settings.standing.markers, settings.filter)
+    recorded = read_markers(settings.standing.markers, settings, root)
     named, upright = settings.markers, None
     if named is None:
         named, upright = model_markers(person, who, recorded)

@@ -11,7 +11,9 @@ from small_osim import small_osim
 
 from drake_exo.errors import InputError
 from drake_exo.files import osim
+from drake_exo.files.opensim import read_table, write_table
 from drake_exo.files.osim import read_osim
+from drake_exo.files.tables import Table
 
 
 def read(tmp_path, text):
@@ -302,3 +304,32 @@ def test_a_full_disk_keeps_the_model_that_was_there(tmp_path, monkeypatch):
     monkeypatch.undo()
     file.write(tmp_path / "m.osim")
     assert read_osim(tmp_path / "m.osim").bodies.keys() >= {"torso"}
+
+
+@pytest.mark.parametrize("states", [False, True])
+def test_coordinates_of_a_file_move_markers(tmp_path, states):
+    """Angles in degrees, places in metres; speeds are none."""
+    model = read(tmp_path, small_osim())
+    time = np.arange(5) / 100.0
+    names = [n for joint in model.joints for n in joint.coordinates]
+    q = {n: 0.01 * k + 0.1 * time for k, n in enumerate(names)}
+    turning = {a.coordinate for joint in model.joints for a in joint.turns}
+    values = [np.rad2deg(q[n]) if n in turning else q[n] for n in names]
+    columns = [f"/jointset/a/{n}/value" if states else n for n in names]
+    if states:
+        columns += [f"/jointset/a/{n}/speed" for n in names]
+        values += [np.full(5, 7.0)] * len(names)
+    table = Table(time, tuple(columns), np.column_stack(values), True)
+    write_table(tmp_path / "ik.mot", table, digits=17)
+    found = model.markers_along(read_table(tmp_path / "ik.mot"))
+    assert found.names == tuple(model.markers)
+    assert found.rate_hz == pytest.approx(100.0)
+    poses = model.poses(q, 5)
+    for name, (body, place) in model.markers.items():
+        R, p = poses[body]
+        np.testing.assert_allclose(
+            found.of([name])[:, 0], p + R @ place, atol=1e-12
+        )
+    lacking = Table(time, ("pelvis_tilt",), np.zeros((5, 1)), True, "ik.mot")
+    with pytest.raises(InputError, match=r"ik\.mot: has no column for coord"):
+        model.markers_along(lacking)

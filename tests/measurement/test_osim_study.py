@@ -1,6 +1,7 @@
 """Studies whose person is a scaled OpenSim model."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from synthetic_recording import load
 
 from drake_exo.errors import InputError
 from drake_exo.files import schema
-from drake_exo.files.opensim import read_trc, write_trc
+from drake_exo.files.opensim import read_table, read_trc, write_trc
 from drake_exo.files.osim import read_osim
 from drake_exo.files.tables import MarkerData
 from drake_exo.measurement.kinematics import coordinates, solve_poses
@@ -202,3 +203,20 @@ def test_markers_that_lack_and_hide_at_once_are_told(opencap, tmp_path):
     study = RecordedStudy(replace(study.file, trials=trials), study.root)
     with pytest.raises(InputError, match="too few others are left on the foot"):
         study.trials()
+
+
+@pytest.mark.slow
+def test_inverse_kinematics_stands_for_markers(data_root, request):
+    """OpenSim's own, of a real rise: the knee is as it has it."""
+    path = request.path.parents[1] / "studies" / "opencap_osim.yaml"
+    study = read_study(path, data_root)
+    ik = Path("opencap_subject4/IK")
+    trial = replace(study.file.trials[0], markers=ik / "STS1_ik.mot")
+    standing = replace(study.file.standing, markers=ik / "static1_ik.mot")
+    file = replace(study.file, standing=standing, trials=(trial,))
+    (found,) = RecordedStudy(file, study.root).trials()
+    table = read_table(data_root / trial.markers)
+    knee = table.columns(["knee_angle_l", "knee_angle_r"]).mean(axis=1)
+    at = np.interp(found.start_s + found.times, table.time, knee)
+    off = np.rad2deg(found.coordinate("knee") - at)
+    assert np.sqrt((off**2).mean()) < 1.0
