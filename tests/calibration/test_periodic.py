@@ -1,6 +1,7 @@
 """A periodic step, posed and not solved: what its ends and bounds say."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from drake_exo.calibration.error_model import _squared
 from drake_exo.calibration.phases import (
     FootGroundCalibration,
     PeriodicStep,
+    _held_toes,
     _middle,
     mirrored,
 )
@@ -210,6 +212,22 @@ def test_toes_clear_the_ground_as_their_foot_does(step):
     problem = posed(hinged, walked, clearance_m=0.02)
     found = [b.name.split()[-1] for b in blocks(problem, "clearance")]
     assert found == ["foot_right", "toes_right"]
+
+
+def test_toes_are_held_near_a_line():
+    """Three degrees off the line between their ends are one deviation."""
+    kind = Assembly(Person("two", "hinged"))
+    names = Model(kind, scale_human(70.0, 1.75)).coordinates
+    columns = names.columns(["toes_left", "toes_right"])
+    q = np.zeros((len(TIMES), len(names)))
+    q[-1, columns] = 0.2, -0.4
+    grid = SimpleNamespace(q=np.zeros_like(q))
+    at = SimpleNamespace(coordinates=names, times=TIMES, q=q)
+    (held,) = _held_toes(SimpleNamespace(grid=grid), at)
+    middle = len(TIMES) // 2
+    share = TIMES[middle] / TIMES[-1]
+    np.testing.assert_allclose(held.target[middle], share * q[-1, columns])
+    np.testing.assert_allclose(held.sigma, np.deg2rad(3.0))
 
 
 def test_the_middle_half_of_the_longest_run():
