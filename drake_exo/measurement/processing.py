@@ -777,10 +777,14 @@ def _bounds(files: TrialFiles, recording: Recording):
         if number is None:
             continue
         if number > len(found):
+            parts = ", ".join(
+                "{:.2f} to {:.2f} s".format(*m.part) for m in found
+            )
             raise InputError(
                 f"trial {files.name}: {what} {number} was asked for, but "
-                f"{len(found)} were found in {files.markers}; give start_s "
-                "and end_s instead"
+                f"{len(found)} were found in {files.markers}"
+                f"{f' ({parts})' if parts else ''}; give start_s and end_s "
+                "instead"
             )
         movement = found[number - 1]
         start, end = movement.part

@@ -623,7 +623,7 @@ def test_refuses_a_rise_that_is_not_there(files):
     folder, study = files
     trial = replace(study.trials[0], rise=3)
     message = refusal(replace(study, trials=(trial,)), folder)
-    assert "rise 3 was asked for, but 2 were found" in message
+    assert "rise 3 was asked for, but 2 were found in sts.trc (" in message
     trial = replace(study.trials[0], rise=None, sit=2)
     message = refusal(replace(study, trials=(trial,)), folder)
     assert "sit 2 was asked for, but 1 were found" in message
