@@ -3,8 +3,10 @@
 import argparse
 import errno
 import os
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -40,6 +42,31 @@ def test_ctrl_c_while_a_command_is_imported(modules, capsys):
 
     assert cli._run(parsed) == 130
     assert capsys.readouterr().err == "drake-exo: interrupted\n"
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_sigterm_ends_a_command_as_ctrl_c_does(ignored, monkeypatch, capsys):
+    """Unless that is ignored, as by jobs in the background of a script."""
+    seen = []
+
+    def run(args):
+        seen.append(signal.getsignal(signal.SIGTERM))
+        if not ignored:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(1.0)
+
+    monkeypatch.setattr(cli, "parse", lambda argv: argparse.Namespace(run=run))
+    before = signal.getsignal(signal.SIGTERM)
+    handled = signal.SIG_IGN if ignored else signal.default_int_handler
+    usual = signal.signal(signal.SIGINT, handled)
+    try:
+        code = cli.main(["check"])
+    finally:
+        signal.signal(signal.SIGINT, usual)
+    assert code == (0 if ignored else 130)
+    assert (seen[0] is before) == ignored
+    assert signal.getsignal(signal.SIGTERM) is before
+    assert ("interrupted" in capsys.readouterr().err) != ignored
 
 
 def test_help_imports_no_command():

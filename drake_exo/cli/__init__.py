@@ -7,8 +7,11 @@ import argparse
 import errno
 import importlib
 import os
+import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from drake_exo import __version__
@@ -124,7 +127,30 @@ def add_accept(parser: argparse.ArgumentParser) -> None:
 
 def main(argv: list[str] | None = None) -> int:
     """Run one subcommand and return its exit code (2 for bad input)."""
-    return _run(lambda: parse(sys.argv[1:] if argv is None else argv))
+    with _terminated_as_interrupted():
+        return _run(lambda: parse(sys.argv[1:] if argv is None else argv))
+
+
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """Take SIGTERM for Ctrl-C, which keeps the best so far and ends workers.
+
+    Clusters, containers and `timeout` send it.
+    """
+
+    def handle(number, frame):
+        signal.raise_signal(signal.SIGINT)
+
+    is_main = threading.current_thread() is threading.main_thread()
+    # A job started with `&` ignores Ctrl-C: then SIGTERM ends it at once.
+    if not is_main or not callable(signal.getsignal(signal.SIGINT)):
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, handle)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def parse(argv: list[str]) -> argparse.Namespace:
