@@ -76,6 +76,8 @@ LIMITS: dict[str, tuple[float, str, str]] = {
     "feet_apart": (0.10, "m", "markers"),
     "leg_share": (65.0, "%", "forces"),
     "lifted_foot": (5.0, "%", "forces"),
+    # Feet that stay move by 7 mm, those of a poor inverse kinematics by 38.
+    "foot_slides": (0.02, "m", "markers"),
     # of the plates
     "cop_along": (0.03, "m", "forces"),
     "cop_across": (0.05, "m", "forces"),
@@ -640,6 +642,7 @@ def body_checks(e: Evidence) -> Iterator[Check]:
         yield _end_joints(e)
     else:  # two legs: a step ends in mid-movement, and legs move differently
         yield _end(e)
+        yield _slides(e)
         if e.has_both_feet:
             yield from _legs(e)
 
@@ -933,6 +936,24 @@ def _end_joints(e: Evidence) -> Check:
         f"{said}, within {1e3 * reach:.0f} ms of the used part, while a joint "
         f"turns at {speed:.0f} deg/s; the filter does not know how the "
         "movement goes on: export more of it, or use a part further from there",
+    )
+
+
+def _slides(e: Evidence) -> Check:
+    """Whether feet stay where they stand; heels may rise, but not toes too."""
+    paths = {
+        side: float(np.ptp(markers[e.inside, :, 0], axis=0).min())
+        for side, markers in e.recording.motion.feet.items()
+    }
+    side = max(paths, key=paths.__getitem__)
+    return e.check(
+        "foot_slides",
+        paths[side],
+        f"every marker of the {side} foot moves by {1e3 * paths[side]:.0f} mm "
+        "or more along the floor, and calibrated contact would slip; use a "
+        "part in which feet stay (if these are coordinates of inverse "
+        "kinematics: give the markers)",
+        level="note",
     )
 
 

@@ -101,7 +101,7 @@ def test_a_sound_recording_holds_every_check(folder):
         "ankle_range", "knee_range", "hip_range", "newton", "euler",
         "marker_leap", "marker_frozen", "floor", "foot_sides", "stature",
         "mean_forward", "mean_sideways", "mean_weight", "shear_sign",
-        "leg_angles", "feet_apart", "leg_share", "lifted_foot",
+        "leg_angles", "feet_apart", "leg_share", "lifted_foot", "foot_slides",
         "cop_along", "cop_across", "cop_unit", "plate_sides", "chair",
         "flat_channel", "saturated_channel", "encoder_sign",
         "encoder_offset", "encoder_unit", "encoder_joints",

@@ -332,6 +332,20 @@ def test_legs_against_each_other():
     assert found == (30.0, 5.0, False)
 
 
+def test_a_foot_stays_if_one_of_its_markers_does():
+    """The heel rises; the other foot moves by 25 mm, 30 with its heel."""
+    feet = np.zeros((2, 200, 2, 3))
+    feet[0, INSIDE, 0, 0] = np.linspace(0.0, 0.04, N)
+    feet[1, INSIDE, :, 0] = np.linspace(0.0, (0.03, 0.025), N)
+    feet[:, :, :, 2] = TIME[:, None]
+    e = made(feet={"left": feet[0], "right": feet[1]})
+    found = plausibility._slides(e)
+    assert told([found], "foot_slides") == [(0.025, 0.02, False)]
+    assert found.level == "note" and "the right foot" in found.sentence
+    e = made(feet={"left": feet[0]})
+    assert told([plausibility._slides(e)], "foot_slides") == [(0.0, 0.02, True)]
+
+
 def test_a_foot_that_bears_shows_the_belts_speed():
     """-0.9 m/s while it bears half of the body."""
     feet = {}
