@@ -533,6 +533,13 @@ class _Solved:
         return self.result.success
 
 
+# Which problem each phase of a `Calibration` solves.
+_POSED = {
+    "foot-ground": FootGroundCalibration,
+    "interaction": InteractionCalibration,
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Calibration(_Solved):
     """Result of Phase A or B; see `calibrate_foot_ground`.
@@ -553,6 +560,15 @@ class Calibration(_Solved):
     phase: str
     study: Study = field(repr=False)
     result: PhaseResult = field(repr=False)
+
+    def __post_init__(self):
+        if self.phase not in tuple(_POSED):
+            raise InputError(
+                f"phase is {self.phase!r:.60}; give one of {', '.join(_POSED)}"
+            )
+        check_type(self.study, Study, "study")
+        check_type(self.result, PhaseResult, "result")
+        check_type(self.result.problem, _POSED[self.phase], "result.problem")
 
     def __repr__(self) -> str:
         head = f"Calibration({self.phase!r}, {self.solution.status!r})"

@@ -93,6 +93,8 @@ class FootGroundCalibration(PhaseProblem):
         else:
             check_type(ground, GroundContact, "ground")
             contact, parameters = ContactModel(ground), []
+        for parameter in parameters:
+            check_type(parameter, ContactParameter, "parameters")
         if not parameters:  # PhaseProblem sets the jerk only with parameters
             contact = replace(contact, jerk=typical_jerk(trials))
         super().__init__(

@@ -264,8 +264,9 @@ class Trial:
         of `coordinates.device`.
 
         Raises:
-            InputError: `device` has another shape.
+            InputError: `model` is no model, or `device` has another shape.
         """
+        check_type(model, Model, "model")
         names, tree = model.coordinates, model.rigid.tree
         wanted = len(self.times), len(names.device)
         exo = fixed(np.zeros((wanted[0], 0)) if device is None else device)

@@ -189,6 +189,8 @@ def _over_time(axis, begins: Sequence[int], t, values, **look) -> None:
     """
     if 1 in np.diff([*begins, len(t)]):
         look["marker"] = "."
+    if np.ptp(t) == 0:  # times around it would overlap
+        axis.set_xticks(t[:1])
     axis.plot(
         *(np.insert(x.astype(float), begins[1:], np.nan) for x in (t, values)),
         **look,

@@ -324,8 +324,11 @@ class Step:
 
     @property
     def angles(self) -> np.ndarray:
-        """Roll, pitch and yaw of R = Rx·Ry·Rz [rad], (N, 3)."""
-        return angles_xyz(self.history.R)
+        """Roll, pitch and yaw of R = Rx·Ry·Rz [rad], (N, 3).
+
+        They do not leap by a turn between samples.
+        """
+        return np.unwrap(angles_xyz(self.history.R), axis=0)
 
     @property
     def tilt_deg(self) -> np.ndarray:

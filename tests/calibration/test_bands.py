@@ -604,8 +604,9 @@ def test_a_summary_holds_parameters_with_their_bounds(coarse):
     study = dx.Study(problem.model, problem.trials, name="me")
 
     def summary_of(phase):
-        found = dx.Calibration(phase, study, coarse)
-        vars(found)["_audits"] = ()  # which would be simulated
+        found = dx.Calibration("interaction", study, coarse)
+        # Audits would be simulated.
+        vars(found).update(phase=phase, _audits=())
         return found.summary()
 
     summary = summary_of("interaction")

@@ -232,6 +232,13 @@ def test_a_study_is_no_model(made, phase):
             PHASES[phase](wrong, made.trials, None)
 
 
+def test_names_are_no_parameters(made):
+    with pytest.raises(InputError, match="give a ContactParameter"):
+        FootGroundCalibration(
+            made.model, made.trials, parameters=["heel.stiffness"]
+        )
+
+
 def test_a_phases_settings_are_held_to_what_a_file_may_say(made):
     never = dx.settings.Solver(nodes_per_second=-3.0)
     settings = dx.settings.PredictionSettings(solver=never)

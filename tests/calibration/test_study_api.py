@@ -413,6 +413,20 @@ def test_a_law_that_is_off_its_sole_is_noted(worn):
     assert force.sentence.startswith("forces of the law differ by so much")
 
 
+def test_a_calibration_is_of_the_phase_that_it_says(cuffs):
+    """That of feet has no intervals: those of cuffs would be lost silently."""
+    study, result = cuffs.study, cuffs.result
+    for given, words in (
+        (("foot-ground", study, result), "give a FootGroundCalibration"),
+        (("B", study, result), "is 'B'; give one of foot-ground, interaction"),
+        ((study, "interaction", result), r"phase is Study\(.*; give one of"),
+        (("interaction", study, result.solution), "give a PhaseResult"),
+        (("interaction", study.trials(), result), "give a Study"),
+    ):
+        with pytest.raises(dx.InputError, match=words):
+            dx.Calibration(*given)
+
+
 def test_with_a_sole_nothing_of_the_feet_is_calibrated(worn, tmp_path):
     ours = dx.calibrate_foot_ground(worn)
     assert ours.success and ours.parameters == []

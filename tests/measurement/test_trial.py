@@ -407,3 +407,5 @@ def test_moments_are_those_of_drake_less_the_device_s(nominal, kind):
     for given in (np.zeros((4, 2)), torques[:3]):
         with pytest.raises(InputError, match=wanted):
             trial.with_moments(model, given)
+    with pytest.raises(InputError, match=r"model is array.*give a Model"):
+        trial.with_moments(torques)

@@ -250,6 +250,14 @@ def test_a_load_of_one_sample_is_a_point(mesh):
         assert [line.get_marker() for line in force.lines] == 3 * [marker]
 
 
+def test_times_of_a_single_sample_do_not_overlap(mesh):
+    load = _load(mesh, 4)
+    one = replace(load, times=load.times[:1] + 0.2, force=load.force[:1],
+                  zmp=load.zmp[:1], begins=(0,), weights=(1.0,))  # fmt: skip
+    _, force, _ = pictures.load_figure(one, _level(mesh)).axes
+    assert list(force.get_xticks()) == list(one.times)
+
+
 def test_pose_in_millimetres_degrees_and_kilonewtons():
     t = np.linspace(0, 1, 5)
     names = ("origin_x_m", "origin_y_m", "origin_z_m", "roll_deg",

@@ -52,6 +52,13 @@ def test_what_is_read_from_a_step_does_not_change_it(step):
         step.setup.load.force[:] *= 2.0
 
 
+def test_a_yaw_near_half_a_turn_does_not_leap():
+    turned = np.deg2rad([[0, 0, 179.9], [0, 0, 180.2], [0, 0, 179.8]])
+    history = SimpleNamespace(R=rotations_xyz(turned))
+    found = Step.angles.fget(SimpleNamespace(history=history))
+    np.testing.assert_allclose(found, turned, atol=1e-12)
+
+
 def test_pressure_is_force_over_a_nodes_area(step):
     mesh = step.sole.mesh
     area = mesh.contact_areas
