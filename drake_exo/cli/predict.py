@@ -237,7 +237,6 @@ def write_predictions(
                         study, trial, usual, near=prediction, clocks=(), **how
                     )
                     stopped = beside.solution.was_stopped
-                forget(folder)
         except KeyboardInterrupt:
             # Between solves; what is finished is written all the same.
             stopped = True
@@ -300,6 +299,11 @@ def write_predictions(
     if summary["clocks"]:
         print(clocks_table(summary["clocks"]))
     write_json(out / "summary.json", summary)
+    for prediction in found:
+        folder = out / f"unfinished_{prediction.name}"
+        if prediction.success and folder.is_dir():
+            forget(folder)  # not before: --resume goes on from there
+            folder.rmdir()
     print(verdict.text())
     if refused is not None:
         print(f"results in {out}")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from undrawn import undrawn
 
+from drake_exo.calibration import solving
 from drake_exo.calibration.audit import Audit, spread
 from drake_exo.calibration.results import (
     read_contact,
@@ -172,6 +173,28 @@ def test_ctrl_c_between_solves_keeps_what_is_finished(
     assert [row["trial"] for row in found["rmsd"]] == ["rise4"]
     assert (out / "solution_rise4.npz").is_file()
     assert not (out / "unfinished_rise4").exists()
+
+
+@pytest.mark.slow
+def test_ctrl_c_while_results_are_written_keeps_the_checkpoints(
+    command, calibrated, tmp_path, monkeypatch
+):
+    """Nothing is on disk by then but these; --resume goes on from there."""
+    out = tmp_path / "c1"
+    more = ["--calibration", str(calibrated), "--out", str(out)]
+    monkeypatch.setattr(solving, "_CHECKPOINT_SECONDS", 0.0)
+
+    def interrupted(*given):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as within:
+        within.setattr("drake_exo.cli.predict._write", interrupted)
+        assert main([*command("predict"), *more]) == 130
+    kept = sorted(path.parent.name for path in out.glob("*/checkpoint.npz"))
+    assert kept == ["unfinished_rise4", "unfinished_rise5"]
+    with undrawn():
+        assert main([*command("predict"), *more, "--resume"]) == 0
+    assert not list(out.glob("unfinished_*"))
 
 
 @pytest.mark.slow
