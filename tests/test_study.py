@@ -93,6 +93,16 @@ def test_data_root_must_be_a_folder(tmp_path):
             "prediction: {speed_m_s: 1.3}\nfoot_ground:",
             "prediction: speed_m_s is that of a step without data",
         ),
+        (
+            "foot_ground:",
+            "prediction: {clearance_m: 0.03}\nfoot_ground:",
+            "prediction: clearance_m is that of a step without data",
+        ),
+        (
+            "foot_ground:",
+            "prediction: {ends: periodic, objective: comfort}\nfoot_ground:",
+            "prediction: objective is comfort, but a step without data",
+        ),
         ("lower: 0.0,", "lower: -0.1,", "lower bound -0.1 is negative"),
         ("lower: 1.0e5,", "lower: 1.0,", "lower bound is 1, but must be at"),
         (

@@ -683,9 +683,15 @@ class PredictionSettings:
     solver: Solver = Solver()
 
     def __post_init__(self):
-        if self.speed_m_s is not None and self.ends != "periodic":
+        if self.ends == "periodic":
+            if self.objective == "comfort":
+                raise InputError(
+                    "objective is comfort, but a step without data (ends: "
+                    "periodic) minimises effort alone; leave one of them out"
+                )
+        elif given := _given(self, ("speed_m_s", "clearance_m")):
             raise InputError(
-                "speed_m_s is that of a step without data, this one ends as "
+                f"{given[0]} is that of a step without data, this one ends as "
                 "measured; leave it out, or give ends: periodic"
             )
 
