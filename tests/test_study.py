@@ -104,6 +104,11 @@ def test_data_root_must_be_a_folder(tmp_path):
             "prediction: objective is comfort, but a step without data",
         ),
         ("lower: 0.0,", "lower: -0.1,", "lower bound -0.1 is negative"),
+        (
+            "  prior",
+            "  constants: {static_friction: 0.5}\n  prior",
+            "dynamic_friction 0.8 is above static_friction 0.5; give both",
+        ),
         ("lower: 1.0e5,", "lower: 1.0,", "lower bound is 1, but must be at"),
         (
             "    modulus",

@@ -347,8 +347,8 @@ class FootGroundSettings:
         """Constants of the law.
 
         Raises:
-            InputError: a name that the law does not have, or a value out of
-                its bounds.
+            InputError: a name that the law does not have, a value out of its
+                bounds, or a foot that slides harder than it sticks.
         """
         law = LAWS["simbody" if self.of_sole else self.law]
         known = {f.name: f.metadata for f in fields(law)}
@@ -359,7 +359,15 @@ class FootGroundSettings:
                     f"'{name}'; it has {', '.join(known)}"
                 )
             check_bounds(f"foot_ground.constants.{name}", value, known[name])
-        return law(**self.constants)
+        found = law(**self.constants)
+        if found.dynamic_friction > found.static_friction:
+            raise InputError(
+                f"foot_ground.constants: dynamic_friction "
+                f"{found.dynamic_friction:g} is above static_friction "
+                f"{found.static_friction:g}; give both, the dynamic one no "
+                "higher"
+            )
+        return found
 
     def of(self, sphere: str) -> SphereSettings:
         """Settings of one sphere by name; `heel` also gives `heel_left`."""
