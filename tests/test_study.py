@@ -105,6 +105,21 @@ def test_data_root_must_be_a_folder(tmp_path):
         ),
         ("lower: 0.0,", "lower: -0.1,", "lower bound -0.1 is negative"),
         (
+            "x_m: {below: 0.08,",
+            "x_m: {below: 80,",
+            "foot_ground.heel.x_m.below is 80, but must be at most 1 m",
+        ),
+        (
+            "    modulus",
+            "    radius_m: {nominal: 32, lower: 10, upper: 60}\n    modulus",
+            "radius_m: upper bound is 60, but must be at most 1 m",
+        ),
+        (
+            "\nfoot_ground:",
+            "\ninteraction: {origin_sd_m: 15}\nfoot_ground:",
+            "interaction.origin_sd_m is 15, but must be at most 1 m",
+        ),
+        (
             "  prior",
             "  constants: {static_friction: 0.5}\n  prior",
             "dynamic_friction 0.8 is above static_friction 0.5; give both",

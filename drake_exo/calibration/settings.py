@@ -117,8 +117,9 @@ class Spread:
     0.01
     """
 
-    below: float = quantity("m", above=0.0)
-    above: float = quantity("m", above=0.0)
+    # As far as a design's: more is not given in metres.
+    below: float = quantity("m", above=0.0, maximum=SHIFT["maximum"])
+    above: float = quantity("m", above=0.0, maximum=SHIFT["maximum"])
     shift: float = quantity("m", 0.0)
     free: bool = True
 
@@ -163,6 +164,9 @@ class SphereSettings:
             check_bounds(
                 f"{name}: lower bound", given.lower, least.get(name, {})
             )
+            if name == "radius_m":
+                most = {"unit": "m", "maximum": 1.0}
+                check_bounds(f"{name}: upper bound", given.upper, most)
 
 
 @dataclass(frozen=True)
@@ -585,7 +589,7 @@ class InteractionSettings:
     noise: InteractionNoise = InteractionNoise()
     end_tolerance: EndTolerance = EndTolerance()
     stiffness_factor: float = quantity(None, 2.0, above=1.0)
-    origin_sd_m: float = positive("m", 0.015)
+    origin_sd_m: float = quantity("m", 0.015, above=0.0, maximum=1.0)
     prior_weight: float = quantity(None, 1.0, minimum=0.0)
     errors: ErrorSizes = field(default_factory=ErrorSizes)
     solver: Solver = Solver()
