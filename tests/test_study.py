@@ -120,6 +120,16 @@ def test_data_root_must_be_a_folder(tmp_path):
             "interaction.origin_sd_m is 15, but must be at most 1 m",
         ),
         (
+            "\nfoot_ground:",
+            "\ninteraction: {errors: {mat_clock_s: 30}}\nfoot_ground:",
+            "interaction.errors.mat_clock_s is 30, but must be at most 1 s",
+        ),
+        (
+            "\nfoot_ground:",
+            "\nprediction: {errors: {mat_share: 5}}\nfoot_ground:",
+            "prediction.errors.mat_share is 5, but must be at most 1",
+        ),
+        (
             "  prior",
             "  constants: {static_friction: 0.5}\n  prior",
             "dynamic_friction 0.8 is above static_friction 0.5; give both",
