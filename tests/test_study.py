@@ -131,6 +131,11 @@ def test_data_root_must_be_a_folder(tmp_path):
         ),
         (
             "  prior",
+            "  constants: {static_friction: 80}\n  prior",
+            "static_friction is 80, but must be at most 10",
+        ),
+        (
+            "  prior",
             "  constants: {static_friction: 0.5}\n  prior",
             "dynamic_friction 0.8 is above static_friction 0.5; give both",
         ),
