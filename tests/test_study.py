@@ -157,6 +157,12 @@ def test_data_root_must_be_a_folder(tmp_path):
             "normal_n_m: nominal is 0",
         ),
         (
+            "\nfoot_ground:",
+            "\ninteraction: {thigh: {normal_n_m: {nominal: 5, lower: 0.1, "
+            "upper: 50}}}\nfoot_ground:",
+            "thigh: normal_n_m: nominal is 5, but must be at least 100 N/m",
+        ),
+        (
             "model: human",
             "model: {device: {weld: {exo_foot: foot}}, "
             "cuffs: {calf: {human: shank, device: exo_shank}}}\n"

@@ -525,6 +525,10 @@ class BushingSettings:
                     f"{name}: nominal is 0, but the prior is a factor on the "
                     "nominal value; give one above 0, or free: false"
                 )
+            if name == "normal_n_m" and given.nominal > 0.0:
+                # A softer one would hold nothing: it was given in N/mm.
+                least = {"unit": "N/m", "minimum": 100.0}
+                check_bounds(f"{name}: nominal", given.nominal, least)
 
     @property
     def damping(self) -> dict[str, float]:
