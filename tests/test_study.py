@@ -93,7 +93,52 @@ def test_data_root_must_be_a_folder(tmp_path):
             "prediction: {speed_m_s: 1.3}\nfoot_ground:",
             "prediction: speed_m_s is that of a step without data",
         ),
+        (
+            "foot_ground:",
+            "prediction: {clearance_m: 0.03}\nfoot_ground:",
+            "prediction: clearance_m is that of a step without data",
+        ),
+        (
+            "foot_ground:",
+            "prediction: {ends: periodic, objective: comfort}\nfoot_ground:",
+            "prediction: objective is comfort, but a step without data",
+        ),
         ("lower: 0.0,", "lower: -0.1,", "lower bound -0.1 is negative"),
+        (
+            "x_m: {below: 0.08,",
+            "x_m: {below: 80,",
+            "foot_ground.heel.x_m.below is 80, but must be at most 1 m",
+        ),
+        (
+            "    modulus",
+            "    radius_m: {nominal: 32, lower: 10, upper: 60}\n    modulus",
+            "radius_m: upper bound is 60, but must be at most 1 m",
+        ),
+        (
+            "\nfoot_ground:",
+            "\ninteraction: {origin_sd_m: 15}\nfoot_ground:",
+            "interaction.origin_sd_m is 15, but must be at most 1 m",
+        ),
+        (
+            "\nfoot_ground:",
+            "\ninteraction: {errors: {mat_clock_s: 30}}\nfoot_ground:",
+            "interaction.errors.mat_clock_s is 30, but must be at most 1 s",
+        ),
+        (
+            "\nfoot_ground:",
+            "\nprediction: {errors: {mat_share: 5}}\nfoot_ground:",
+            "prediction.errors.mat_share is 5, but must be at most 1",
+        ),
+        (
+            "  prior",
+            "  constants: {static_friction: 80}\n  prior",
+            "static_friction is 80, but must be at most 10",
+        ),
+        (
+            "  prior",
+            "  constants: {static_friction: 0.5}\n  prior",
+            "dynamic_friction 0.8 is above static_friction 0.5; give both",
+        ),
         ("lower: 1.0e5,", "lower: 1.0,", "lower bound is 1, but must be at"),
         (
             "    modulus",
@@ -110,6 +155,12 @@ def test_data_root_must_be_a_folder(tmp_path):
             "\ninteraction: {thigh: {normal_n_m: {nominal: 0, lower: 0, "
             "upper: 9}}}\nfoot_ground:",
             "normal_n_m: nominal is 0",
+        ),
+        (
+            "\nfoot_ground:",
+            "\ninteraction: {thigh: {normal_n_m: {nominal: 5, lower: 0.1, "
+            "upper: 50}}}\nfoot_ground:",
+            "thigh: normal_n_m: nominal is 5, but must be at least 100 N/m",
         ),
         (
             "model: human",

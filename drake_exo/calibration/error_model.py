@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from drake_exo.contact.parameters import Posterior
-from drake_exo.files.schema import not_negative
+from drake_exo.files.schema import not_negative, quantity
 from drake_exo.measurement.kinematics import (
     from_the_ground_up,
     inverse_dynamics,
@@ -54,11 +54,11 @@ class ErrorSizes:
     skin: float = not_negative("rad/rad", 0.03)
     skin_bend: float = not_negative("rad/rad^2", 0.015)
     encoder_offset_deg: float = not_negative("deg", 2.0)
-    mat_share: float = not_negative("1", 0.05)
+    mat_share: float = quantity("1", 0.05, minimum=0.0, maximum=1.0)
     mat_offset_n: float = not_negative("N", 3.0)
     friction: float = not_negative("1", 0.4)
-    encoder_clock_s: float = not_negative("s", 0.03)
-    mat_clock_s: float = not_negative("s", 0.03)
+    encoder_clock_s: float = quantity("s", 0.03, minimum=0.0, maximum=1.0)
+    mat_clock_s: float = quantity("s", 0.03, minimum=0.0, maximum=1.0)
 
 
 # For instruments without any errors but noise.

@@ -518,6 +518,7 @@ class PeriodicStep(PredictionProblem):
         grid, names = movement.grid, movement.coordinates
         x, *_ = names.root_columns
         other = mirrored(names)
+        _check_is_one_step(at, other)
         speed = self.settings.speed_m_s
         if speed is None:
             speed = _speed(at)
@@ -567,6 +568,27 @@ def _speed(trial: Trial) -> float:
     """Mean forward speed of the root [m/s]."""
     x, *_ = trial.coordinates.root_columns
     return (trial.q[-1, x] - trial.q[0, x]) / trial.duration
+
+
+def _check_is_one_step(trial: Trial, other: np.ndarray) -> None:
+    """Refuse a trial that ends as it begins with legs not exchanged.
+
+    Args:
+        trial: start of the search for a step.
+        other: as of `mirrored`.
+    """
+    columns = trial.coordinates.columns(trial.coordinates.human)
+    first, last = trial.q[[0, -1]]
+    same, exchanged = (
+        np.linalg.norm((last - q)[columns]) for q in (first, other @ first)
+    )
+    if same < 0.5 * exchanged:
+        raise InputError(
+            f"trial {trial.name}: ends with legs as they began, but with "
+            "prediction.ends: periodic it is one step, which ends with legs "
+            "exchanged; end it at the same event of the other foot, as from: "
+            "toe_off left 1, to: toe_off right 1"
+        )
 
 
 def _loads_at(speed_m_s: float, trial: Trial) -> Trial:

@@ -117,8 +117,9 @@ class Spread:
     0.01
     """
 
-    below: float = quantity("m", above=0.0)
-    above: float = quantity("m", above=0.0)
+    # As far as a design's: more is not given in metres.
+    below: float = quantity("m", above=0.0, maximum=SHIFT["maximum"])
+    above: float = quantity("m", above=0.0, maximum=SHIFT["maximum"])
     shift: float = quantity("m", 0.0)
     free: bool = True
 
@@ -163,6 +164,9 @@ class SphereSettings:
             check_bounds(
                 f"{name}: lower bound", given.lower, least.get(name, {})
             )
+            if name == "radius_m":
+                most = {"unit": "m", "maximum": 1.0}
+                check_bounds(f"{name}: upper bound", given.upper, most)
 
 
 @dataclass(frozen=True)
@@ -347,8 +351,8 @@ class FootGroundSettings:
         """Constants of the law.
 
         Raises:
-            InputError: a name that the law does not have, or a value out of
-                its bounds.
+            InputError: a name that the law does not have, a value out of its
+                bounds, or a foot that slides harder than it sticks.
         """
         law = LAWS["simbody" if self.of_sole else self.law]
         known = {f.name: f.metadata for f in fields(law)}
@@ -359,7 +363,15 @@ class FootGroundSettings:
                     f"'{name}'; it has {', '.join(known)}"
                 )
             check_bounds(f"foot_ground.constants.{name}", value, known[name])
-        return law(**self.constants)
+        found = law(**self.constants)
+        if found.dynamic_friction > found.static_friction:
+            raise InputError(
+                f"foot_ground.constants: dynamic_friction "
+                f"{found.dynamic_friction:g} is above static_friction "
+                f"{found.static_friction:g}; give both, the dynamic one no "
+                "higher"
+            )
+        return found
 
     def of(self, sphere: str) -> SphereSettings:
         """Settings of one sphere by name; `heel` also gives `heel_left`."""
@@ -513,6 +525,10 @@ class BushingSettings:
                     f"{name}: nominal is 0, but the prior is a factor on the "
                     "nominal value; give one above 0, or free: false"
                 )
+            if name == "normal_n_m" and given.nominal > 0.0:
+                # A softer one would hold nothing: it was given in N/mm.
+                least = {"unit": "N/m", "minimum": 100.0}
+                check_bounds(f"{name}: nominal", given.nominal, least)
 
     @property
     def damping(self) -> dict[str, float]:
@@ -577,7 +593,7 @@ class InteractionSettings:
     noise: InteractionNoise = InteractionNoise()
     end_tolerance: EndTolerance = EndTolerance()
     stiffness_factor: float = quantity(None, 2.0, above=1.0)
-    origin_sd_m: float = positive("m", 0.015)
+    origin_sd_m: float = quantity("m", 0.015, above=0.0, maximum=1.0)
     prior_weight: float = quantity(None, 1.0, minimum=0.0)
     errors: ErrorSizes = field(default_factory=ErrorSizes)
     solver: Solver = Solver()
@@ -683,9 +699,15 @@ class PredictionSettings:
     solver: Solver = Solver()
 
     def __post_init__(self):
-        if self.speed_m_s is not None and self.ends != "periodic":
+        if self.ends == "periodic":
+            if self.objective == "comfort":
+                raise InputError(
+                    "objective is comfort, but a step without data (ends: "
+                    "periodic) minimises effort alone; leave one of them out"
+                )
+        elif given := _given(self, ("speed_m_s", "clearance_m")):
             raise InputError(
-                "speed_m_s is that of a step without data, this one ends as "
+                f"{given[0]} is that of a step without data, this one ends as "
                 "measured; leave it out, or give ends: periodic"
             )
 

@@ -424,6 +424,22 @@ def _part(trial: Trial) -> str | None:
     return trial.provenance.get("part", {}).get("from")
 
 
+def _source_of_torques(summary: dict, found: Trial) -> str:
+    """A line on the device's torques, where it is not plain whose they are."""
+    unused = ""
+    if summary["design"]:
+        unused = ": the design's assistance and gains have no effect"
+    if summary["controller"]:
+        of = "the controller gives the device's torques"
+        return unused and f"\n{of}{unused}"
+    if summary["settings"]["ends"] == "periodic" and found.coordinates.device:
+        of = (
+            "a step without data finds the device's torques as if it had drives"
+        )
+        return f"\n{of}{unused}"
+    return ""
+
+
 def _write(
     out: Path,
     good: list[tuple],
@@ -450,11 +466,7 @@ def _write(
             "\nmeasured in the device of today: these differences include what "
             "the design changes"
         )
-    if summary["design"] and summary["controller"]:
-        text += (
-            "\nthe controller gives the device's torques: the design's "
-            "assistance and gains have no effect"
-        )
+    text += _source_of_torques(summary, good[0][0])
     write_text(out / "rmsd.txt", text, verdict.mark)
     print(text)
     rows = [

@@ -61,8 +61,8 @@ class PaperConstants:
     - epsilon = 10 µm/s (`slip_smoothing`) makes √(v²) differentiable at rest.
     """
 
-    static_friction: float = quantity("1", 0.8, minimum=0.0)
-    dynamic_friction: float = quantity("1", 0.8, minimum=0.0)
+    static_friction: float = quantity("1", 0.8, minimum=0.0, maximum=10.0)
+    dynamic_friction: float = quantity("1", 0.8, minimum=0.0, maximum=10.0)
     viscous_friction: float = quantity("s/m", 0.5, minimum=0.0)
     transition_velocity: float = quantity("m/s", 0.05, above=0.0)
     hertz_sharpness: float = quantity("1/m", 300.0, above=0.0)
@@ -88,8 +88,8 @@ class SimbodyConstants:
     sliding crosses it within milliseconds, which no grid resolves.
     """
 
-    static_friction: float = quantity("1", 0.8, minimum=0.0)
-    dynamic_friction: float = quantity("1", 0.8, minimum=0.0)
+    static_friction: float = quantity("1", 0.8, minimum=0.0, maximum=10.0)
+    dynamic_friction: float = quantity("1", 0.8, minimum=0.0, maximum=10.0)
     viscous_friction: float = quantity("s/m", 0.5, minimum=0.0)
     transition_velocity: float = quantity("m/s", 0.05, above=0.0)
     constant_contact_force: float = quantity("m², m²/s²", 1e-5, above=0.0)

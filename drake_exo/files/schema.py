@@ -225,6 +225,13 @@ class _Item:
         for key, value in self.node.value:
             if not isinstance(key, yaml.ScalarNode):
                 raise self.error("a key must be a plain word", key)
+            if self.node.flow_style and key.value.isdigit() and _is_null(value):
+                raise self.error(
+                    f"{self.where or 'the file'} has {key.value!r} after a "
+                    "comma; write numbers with a point and without separators, "
+                    "as 0.05 or 5000000",
+                    key,
+                )
             if key.value in items:
                 first = items[key.value][0].start_mark.line + 1
                 raise self.error(

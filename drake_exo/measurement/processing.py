@@ -303,9 +303,17 @@ class Recordings:
         }
         # Before the filter: on the belt, a standing foot's CoP is steady.
         forces = forces.on_belt(settings.ground.belt_speed_m_s)
-        forces = forces.held(laboratory.hold_cop_below_n).filtered(
-            low_pass_filter
+        hold = laboratory.hold_cop_below_n
+        most = max(
+            w.force_z.max() for n, w in forces.wrenches.items() if n != "chair"
         )
+        if hold > most:
+            raise InputError(
+                f"{files.forces}: laboratory.hold_cop_below_n is {hold:g}, but "
+                f"no foot bears more than {most:.0f} N, so that there is no "
+                "centre of pressure to hold; lower it"
+            )
+        forces = forces.held(hold).filtered(low_pass_filter)
         feet = forces.at(time)
         chair = feet.pop("chair", None)
         if chair is not None:

@@ -232,6 +232,11 @@ class Assembly:
             self._check("ground", body)
             if not spheres:
                 raise InputError(f"ground: {body} has no sphere; name one")
+            if len(set(spheres)) < len(spheres):
+                raise InputError(
+                    f"ground: {body} names a sphere more than once; name it "
+                    "once, or another one"
+                )
         for link, weld in (self.device.welds if self.device else {}).items():
             self._check(f"weld of {link!r}", weld.to)
         loose = [s for s in self.human.feet(self.spheres).items() if not s[1]]

@@ -108,6 +108,15 @@ def test_joints_of_a_device_may_count_the_other_way_on_the_other_side():
         mirrored(replace(names, coupling=knee))
 
 
+def test_two_steps_are_no_step(model, step):
+    """A stride was sought with legs exchanged over its time: none is found."""
+    stride = replace(step, q=np.vstack([step.q[::2], step.q[-2::-2]]))
+    with pytest.raises(InputError, match="trial step: ends with legs as they"):
+        posed(model, stride)
+    # Legs that move alike are as they began, and exchanged as well.
+    posed(model, replace(step, q=0.0 * step.q))
+
+
 @pytest.mark.parametrize("speed", [None, 0.7])
 def test_a_step_ends_as_it_began_but_ahead(model, step, speed):
     """With a leg's angles those of the other, and its rates."""

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from drake_exo.cli import main
 from drake_exo.cli.calibrate import inputs
 from drake_exo.cli.predict import (
     _accuracy,
+    _source_of_torques,
     _summary,
     extrapolations,
     write_predictions,
@@ -338,6 +340,26 @@ def test_differences_from_another_device_say_so(
         assert ("measured in the device of today" in text) == designed
         assert ("gains have no effect" in text) == designed
         assert ("accuracy" in text) == (not designed and text is printed)
+
+
+@pytest.mark.parametrize("designed", [None, {}, {"thigh": {}}])
+def test_a_step_finds_the_torques_of_a_device_itself(designed):
+    """Those of a design's forecast, and that it is passive, are not used."""
+    alone, worn = (
+        SimpleNamespace(coordinates=SimpleNamespace(device=device))
+        for device in ((), ("motor",))
+    )
+
+    def told(trial, ends, controller=None):
+        settings = {"ends": ends}
+        given = {"design": designed, "controller": controller}
+        return _source_of_torques({"settings": settings, **given}, trial)
+
+    assert told(alone, "periodic") == told(worn, "measured") == ""
+    text = told(worn, "periodic")
+    assert text.startswith("\na step without data finds the device's torques")
+    assert ("gains have no effect" in text) == bool(designed)
+    assert ("the controller" in told(worn, "periodic", "a:b")) == bool(designed)
 
 
 @pytest.mark.slow

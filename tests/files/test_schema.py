@@ -138,6 +138,14 @@ def test_duplicate_key_in_a_dict():
     assert message.startswith("study.yaml:8: duplicate key 'left' in plates")
 
 
+@pytest.mark.parametrize("number", ["2,5", "2,000,000"])
+def test_a_comma_in_a_number_is_told(number):
+    """It was a key '000', given twice: keep one of them."""
+    message = changed("left: 2,", f"left: {number},")
+    assert message.startswith("study.yaml:8: plates has '")
+    assert "after a comma; write numbers with a point" in message
+
+
 def test_missing_key_tells_unit():
     message = changed("  mass_kg: 60\n", "")
     assert message.startswith("study.yaml:2: missing key 'mass_kg' in subject")

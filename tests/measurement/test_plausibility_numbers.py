@@ -663,6 +663,12 @@ def test_feet_are_as_high_as_in_standing_while_they_bear():
     (check,) = plausibility._floor(e)
     assert told(check, "floor") == [(0.025, 0.015, False)]
     assert "left foot are 25 mm higher than in standing" in check.sentence
+    # A foot that rolls on its toes all the time is on the same floor.
+    feet[INSIDE, :, 2] = [0.09, 0.025]
+    assert list(plausibility._floor(e)) == []
+    feet[..., 2] += 0.03
+    (check,) = plausibility._floor(e)
+    assert told(check, "floor") == [(0.0525, 0.015, False)]
     # Where nothing is borne, a foot may be anywhere.
     assert list(plausibility._floor(known(e, plates={"left": 0 * bears}))) == []
 

@@ -727,6 +727,15 @@ def test_zeros_of_hidden_markers_are_told_on_a_belt(made):
 
 
 @pytest.mark.slow
+def test_no_point_is_held_where_no_foot_ever_bears_enough(files):
+    """The points were left as they were, as if nothing were to hold."""
+    folder, study = files
+    held = replace(study.laboratory, hold_cop_below_n=5e3)
+    told = refusal(replace(study, laboratory=held), folder)
+    assert "hold_cop_below_n is 5000, but no foot bears more than" in told
+
+
+@pytest.mark.slow
 def test_a_clock_that_is_known_is_set_before_files_are_compared(files, loaded):
     folder, study = files
     table = read_table(folder / "sts.mot")

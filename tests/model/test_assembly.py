@@ -647,6 +647,7 @@ def test_loops_are_refused():
         ("{human: {legs: three}}", "human.legs must be one of one, two"),
         ("{cuffs: {thigh: {human: thigh, device: x}}}", "cuffs need a device"),
         ("{ground: {foot: []}}", "foot has no sphere"),
+        ("{ground: {foot: [heel, heel]}}", "foot names a sphere more than"),
         (
             "{ground: {foot: [heel, a.b]}}",
             "'a.b' cannot be the name of a cuff or sph",
