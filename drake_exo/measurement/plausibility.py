@@ -39,6 +39,7 @@ from drake_exo.model.segments import LEG_JOINTS
 LOADED_N = 50.0
 # Peak sideways speed: a CoM that sways by ±25 mm in strides of 1.1 s.
 _SWAY_M_S = 0.15
+_STEP_M = 0.1  # between the ankles, fore and aft: a foot is in front
 # Added behind a foot's rearmost marker, and to its length [m].
 _HEEL_M = 0.03
 # Markers that span less of the foot's length include none at the heel.
@@ -836,10 +837,18 @@ def _dynamics(e: Evidence) -> Iterator[Check]:
 def _sway(e: Evidence) -> float:
     """Mean sideways force of a walker in the used part, in body weights.
 
-    Zero if it ends on the same feet as it begins on: the CoM sways back.
+    Zero if it ends on the same feet as it begins on, and not with the other one
+    in front, as a stance or a swing does: the CoM sways back.
     """
     first, last = ([e.loaded(p)[k] for p in e.plates] for k in (0, -1))
-    return 2.0 * _SWAY_M_S / (g * e.trial.duration) * (first != last)
+    ankles = e.recording.motion.ankles
+    ahead = np.zeros(2)
+    if all(side in ankles for side in SIDES):
+        left, right = (ankles[side][e.inside, 0] for side in SIDES)
+        ahead = (left - right)[[0, -1]]
+    passed = ahead.min() < -_STEP_M and ahead.max() > _STEP_M
+    swayed = passed or first != last
+    return 2.0 * _SWAY_M_S / (g * e.trial.duration) * swayed
 
 
 def shear_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:

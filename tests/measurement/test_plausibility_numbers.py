@@ -30,7 +30,7 @@ class Cut(SimpleNamespace):
 
 def made(**motion) -> Evidence:
     """A trial of 0.49 s out of a recording of 2 s."""
-    motion = {"time": TIME, "feet": {}, "legs": {}} | motion
+    motion = {"time": TIME, "feet": {}, "legs": {}, "ankles": {}} | motion
     sides = motion.pop("sides", ())
     named = "ankle", "knee", "hip"
     trial = Cut(
@@ -193,6 +193,16 @@ def test_newton_and_euler_by_hand():
     known(e, needed=measured, plates=plates)
     (check,) = told(list(plausibility._dynamics(e)), "mean_sideways")
     assert check == (25.0, pytest.approx(21.0 + 700.0 * 0.3 / g / 0.49), True)
+    # On one foot alone, past which the other one swings, likewise.
+    for side, force in ("left", 400.0), ("right", 0.0):
+        plates[side][:, 2] = force
+    swing, stay = np.zeros((2, 200, 2))
+    swing[INSIDE, 0] = np.linspace(-0.3, 0.3, N)
+    for path, limit in ((swing, check[1]), (0.3 * swing, 21.0)):
+        e.recording.motion.ankles = {"left": stay, "right": path}
+        (found,) = told(list(plausibility._dynamics(e)), "mean_sideways")
+        assert found[1] == pytest.approx(limit)
+    e.recording.motion.ankles = {}
     known(e, needed=measured + 2.2 * lost)
     found = list(plausibility._dynamics(e))
     assert "N m RMS about the ankle" in found[1].sentence
