@@ -415,6 +415,13 @@ class Design:
                         f"{DESIGN}: {what}.{name}: the model has none; it has "
                         f"{', '.join(known) or 'none'}"
                     )
+        places = model.cuffs
+        for name, cuff in self.cuffs.items():
+            if cuff.removed:
+                continue
+            x, z = places[name]
+            moved = x + cuff.across_m, z + cuff.along_m
+            model.check_on_limb(f"{DESIGN}: cuffs.{name}", name, moved)
         for joint in model.coordinates.device if self.removed else ():
             beyond = links_above(model, joint)
             cuffs = {c for c, (_, k) in model.tree.cuffs.items() if k in beyond}

@@ -185,6 +185,17 @@ def test_a_design_of_another_device_is_refused(nominal):
             design.check(nominal("coupled"))
 
 
+@pytest.mark.parametrize(
+    "moved", [{"along_m": 0.5}, {"along_m": -0.45}, {"across_m": 0.3}]
+)
+def test_a_design_with_a_cuff_off_its_limb_is_refused(nominal, moved):
+    design = Design({"thigh": CuffDesign(**moved)})
+    with pytest.raises(
+        InputError, match=r"cuffs\.thigh: . is .* off the thigh"
+    ):
+        design.check(nominal("coupled"))
+
+
 def test_area_makes_tissue_stiffer_and_known_likewise(contact):
     """Springs side by side; in rotation the lever grows, too."""
     values = contact.values()
