@@ -139,6 +139,26 @@ def test_data_root_must_be_a_folder(tmp_path):
             "  constants: {static_friction: 0.5}\n  prior",
             "dynamic_friction 0.8 is above static_friction 0.5; give both",
         ),
+        (
+            "  prior",
+            "  constants: {hertz_smoothing: 0.3}\n  prior",
+            "constants.hertz_smoothing is 0.3, but must be at least 10 1/m",
+        ),
+        (
+            "  prior",
+            "  constants: {hunt_crossley_smoothing: 0.05}\n  prior",
+            "hunt_crossley_smoothing is 0.05, but must be at least 1 s/m",
+        ),
+        (
+            "  prior",
+            "  constants: {transition_velocity: 50}\n  prior",
+            "transition_velocity is 50, but must be at most 1 m/s",
+        ),
+        (
+            "  prior",
+            "  constants: {constant_contact_force: 1}\n  prior",
+            "constant_contact_force is 1, but must be at most 0.01",
+        ),
         ("lower: 1.0e5,", "lower: 1.0,", "lower bound is 1, but must be at"),
         (
             "    modulus",
