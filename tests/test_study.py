@@ -159,6 +159,11 @@ def test_data_root_must_be_a_folder(tmp_path):
             "  constants: {constant_contact_force: 1}\n  prior",
             "constant_contact_force is 1, but must be at most 0.01",
         ),
+        (
+            "upper: 1.0e7",
+            "upper: 1.0e13",
+            "modulus_n_m2: upper bound is 1e+13, but must be at most 1.2e+12",
+        ),
         ("lower: 1.0e5,", "lower: 1.0,", "lower bound is 1, but must be at"),
         (
             "    modulus",

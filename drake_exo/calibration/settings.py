@@ -160,13 +160,14 @@ class SphereSettings:
             "modulus_n_m2": {"unit": "N/m^2", "minimum": 1e4},
             "radius_m": {"unit": "m", "minimum": 1e-3},
         }
+        most = {  # diamond's modulus
+            "modulus_n_m2": {"unit": "N/m^2", "maximum": 1.2e12},
+            "radius_m": {"unit": "m", "maximum": 1.0},
+        }
         for name, given in _ranges(self).items():
-            check_bounds(
-                f"{name}: lower bound", given.lower, least.get(name, {})
-            )
-            if name == "radius_m":
-                most = {"unit": "m", "maximum": 1.0}
-                check_bounds(f"{name}: upper bound", given.upper, most)
+            for end, bounds in (("lower", least), ("upper", most)):
+                value, own = getattr(given, end), bounds.get(name, {})
+                check_bounds(f"{name}: {end} bound", value, own)
 
 
 @dataclass(frozen=True)
