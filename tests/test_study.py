@@ -164,6 +164,21 @@ def test_data_root_must_be_a_folder(tmp_path):
             "upper: 1.0e13",
             "modulus_n_m2: upper bound is 1e+13, but must be at most 1.2e+12",
         ),
+        (
+            "\nfoot_ground:",
+            "\ninteraction: {errors: {friction: 40}}\nfoot_ground:",
+            "interaction.errors.friction is 40, but must be at most 10",
+        ),
+        (
+            "\nfoot_ground:",
+            "\ninteraction: {errors: {skin: 3}}\nfoot_ground:",
+            "interaction.errors.skin is 3, but must be at most 1 rad/rad",
+        ),
+        (
+            "\nfoot_ground:",
+            "\ninteraction: {errors: {encoder_offset_deg: 200}}\nfoot_ground:",
+            "errors.encoder_offset_deg is 200, but must be at most 180 deg",
+        ),
         ("lower: 1.0e5,", "lower: 1.0,", "lower bound is 1, but must be at"),
         (
             "    modulus",
