@@ -785,6 +785,16 @@ def test_what_is_asked_in_python_is_checked(study):
             "percentile is given twice",
         ),
         (
+            "population: {height_m: [1.7, 0.1], mass_kg: [70, 10], "
+            "percentiles: [0.05, 0.5, 0.95]}",
+            "percentiles are all below 1 %, up to 0.95; give per cent",
+        ),
+        (
+            "population: {height_m: [1.7, 0.1], mass_kg: [70, 10], "
+            "percentiles: []}",
+            "percentiles is empty; give at least one",
+        ),
+        (
             "population: {height_m: [170, 10], mass_kg: [70, 10]}",
             "5th percentile height_m must lie between 0.9 and 2.6 m, not 15",
         ),

@@ -912,6 +912,16 @@ class Population:
     )
 
     def __post_init__(self):
+        if not self.percentiles:
+            raise InputError(
+                "percentiles is empty; give at least one, or leave population "
+                "out"
+            )
+        if max(self.percentiles) < 1.0:  # shares
+            raise InputError(
+                f"percentiles are all below 1 %, up to {max(self.percentiles):g}"
+                "; give per cent, such as 5, 50, 95"
+            )
         if len(set(self.percentiles)) < len(self.percentiles):
             raise InputError("a percentile is given twice; give each once")
         for name, height, mass in self.bodies():
