@@ -780,6 +780,22 @@ def test_what_is_asked_in_python_is_checked(study):
         ("assistance: [1.1, 1.2]", "must include today's factor"),
         ("limits: {support: -1}", "support is -1"),
         (
+            "limits: {pressure_kpa: 8000}",
+            "pressure_kpa is 8000, but must be at most 1000 kPa",
+        ),
+        (
+            "limits: {moment_factor: 100}",
+            "moment_factor is 100, but must be at most 50",
+        ),
+        (
+            "cuffs: {thigh: {area_m2: 100}}",
+            r"area_m2 is 100, but must be at most 1 m\^2",
+        ),
+        (
+            "gains: {stiffness_nm_rad: 5}",
+            "gains are those of assistance_over: gains, but it is angle",
+        ),
+        (
             "population: {height_m: [1.7, 0.1], mass_kg: [70, 10], "
             "percentiles: [50, 50]}",
             "percentile is given twice",

@@ -749,7 +749,8 @@ class CuffFreedom:
     strap_nm_rad: float | None = quantity(
         "N m/rad", SOFTEST_NM_RAD, minimum=SOFTEST_NM_RAD
     )
-    area_m2: float = positive("m^2", 0.01)
+    # All of a person's skin is 2 m^2.
+    area_m2: float = quantity("m^2", 0.01, above=0.0, maximum=1.0)
     area: tuple[float, float] = positive("1", (1.0, 1.0))
     slide: tuple[float, float] = field(default=(0.0, 0.0), metadata=_SHARE)
     hinge: tuple[float, float] = field(default=(0.0, 0.0), metadata=_SHARE)
@@ -829,6 +830,11 @@ class DriveLimits:
     power_w: float | None = positive("W", None)
 
 
+def _factor(default):
+    """A limit as a share of today's value; larger ones were given in %."""
+    return quantity("1", default, above=0.0, maximum=50.0)
+
+
 @dataclass(frozen=True)
 class DesignLimits:
     """Largest values that a wearer may feel; null for no such limit.
@@ -861,12 +867,15 @@ class DesignLimits:
     mean_n: float | None = positive("N", None)
     rate_n_s: float | None = positive("N/s", None)
     shear_n: float | None = positive("N", None)
-    pressure_kpa: float | None = positive("kPa", None)
+    # More than tissue bears, in any mean over a cuff: it was given in Pa.
+    pressure_kpa: float | None = quantity(
+        "kPa", None, above=0.0, maximum=1000.0
+    )
     migration_mm: float | None = positive("mm", 7.0)
     moment_nm: float | None = positive("N m", None)
-    moment_factor: float | None = positive("1", 1.0)
-    shear_factor: float | None = positive("1", None)
-    effort_factor: float | None = positive("1", 1.05)
+    moment_factor: float | None = _factor(1.0)
+    shear_factor: float | None = _factor(None)
+    effort_factor: float | None = _factor(1.05)
     support: float | None = positive("1", 0.005)
     drives: dict[str, DriveLimits] = field(default_factory=dict)
 
@@ -917,10 +926,11 @@ class Population:
                 "percentiles is empty; give at least one, or leave population "
                 "out"
             )
-        if max(self.percentiles) < 1.0:  # shares
+        most = max(self.percentiles)
+        if most < 1.0:  # shares
             raise InputError(
-                f"percentiles are all below 1 %, up to {max(self.percentiles):g}"
-                "; give per cent, such as 5, 50, 95"
+                f"percentiles are all below 1 %, up to {most:g}; give per "
+                "cent, such as 5, 50, 95"
             )
         if len(set(self.percentiles)) < len(self.percentiles):
             raise InputError("a percentile is given twice; give each once")
@@ -1017,6 +1027,11 @@ class DesignSettings:
             raise InputError(
                 f"assistance is {lower:g} to {upper:g}, which must include "
                 "today's factor, 1"
+            )
+        if self.assistance_over != "gains" and self.gains != GainFreedom():
+            raise InputError(
+                "gains are those of assistance_over: gains, but it is "
+                f"{self.assistance_over}; leave gains out, or change it"
             )
 
     @property
