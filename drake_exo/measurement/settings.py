@@ -638,6 +638,13 @@ class TrialFiles:
                     f"{key} and {time} both say where the used part "
                     f"{'starts' if key == 'from' else 'ends'}; leave one out"
                 )
+        for what, time in (("rise", "start_s"), ("sit", "end_s")):
+            seated = self.seated_s > 0.0 and getattr(self, what) is not None
+            if seated and getattr(self, time) is not None:
+                raise InputError(
+                    f"seated_s and {time} both say where the {what} "
+                    f"{'starts' if what == 'rise' else 'ends'}; leave one out"
+                )
         mats = [name for file in self.pressure for name in file.mats]
         _once(mats, "pressure names {} in two files, and its force")
         if self.rise is not None and self.sit is not None:
