@@ -545,6 +545,11 @@ class Load:
                 "where a mass is say either markers on it or at_m in the "
                 "segment"
             )
+        if self.forces is None and self.plate != 1:
+            raise InputError(
+                "plate is the number of a force in a load's file, but this one "
+                "is a mass; leave plate out, or give forces"
+            )
         placed = self.markers or self.at_m is not None
         timed = self.from_s is not None or self.to_s is not None
         if self.forces is not None and (placed or timed):
