@@ -179,6 +179,16 @@ def test_data_root_must_be_a_folder(tmp_path):
             "\ninteraction: {errors: {encoder_offset_deg: 200}}\nfoot_ground:",
             "errors.encoder_offset_deg is 200, but must be at most 180 deg",
         ),
+        (
+            "model: human",
+            "model: human\nground: {belt_speed_m_s: 1240}",
+            "ground.belt_speed_m_s is 1240, but must be at most 15 m/s",
+        ),
+        (
+            "model: human",
+            "model: coupled\ndevice: {knee: {coulomb_speed_rad_s: 2.86}}",
+            "knee.coulomb_speed_rad_s is 2.86, but must be at most 1 rad/s",
+        ),
         ("lower: 1.0e5,", "lower: 1.0,", "lower bound is 1, but must be at"),
         (
             "    modulus",

@@ -58,7 +58,9 @@ class JointDrive:
     inertia_kg_m2: float = quantity("kg m^2", 0.0, minimum=0.0)
     viscous_nm_s: float = quantity("N m s/rad", 0.0, minimum=0.0)
     coulomb_nm: float = quantity("N m", 0.0, minimum=0.0)
-    coulomb_speed_rad_s: float = quantity("rad/s", 0.05, above=0.0)
+    # Dry friction is full long before a joint turns at 1 rad/s; more was
+    # given in deg/s.
+    coulomb_speed_rad_s: float = quantity("rad/s", 0.05, above=0.0, maximum=1.0)
     stiffness_nm_rad: float = quantity("N m/rad", 0.0, minimum=0.0)
     rest_deg: float = quantity("deg", 0.0)
 
@@ -295,7 +297,8 @@ class Ground:
     1.24
     """
 
-    belt_speed_m_s: float = quantity("m/s", 0.0)
+    # Nobody runs at 15 m/s.
+    belt_speed_m_s: float = quantity("m/s", 0.0, minimum=-15.0, maximum=15.0)
 
 
 @dataclass(frozen=True)
