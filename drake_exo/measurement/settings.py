@@ -115,6 +115,17 @@ class Device:
                         f"{key}.{name}: the device has no such joint; it has "
                         f"{', '.join(known)}{nearest(name, known)}"
                     )
+        for key in usual:
+            ours = [
+                n
+                for n in names.device
+                if (names.follows(n) or "").split("_")[0] == key
+            ]
+            if set(ours) <= set(self.joints):
+                raise InputError(
+                    f"device.{key} is used for no joint, since device.joints "
+                    f"has values of {', '.join(ours)}; keep one of them"
+                )
 
     def of(self, joint: str, beside: str | None) -> JointDrive:
         """Dynamics of a device's joint, beside this joint of the person."""
