@@ -189,6 +189,11 @@ def test_data_root_must_be_a_folder(tmp_path):
             "model: coupled\ndevice: {knee: {coulomb_speed_rad_s: 2.86}}",
             "knee.coulomb_speed_rad_s is 2.86, but must be at most 1 rad/s",
         ),
+        (
+            "model: human",
+            "  segments: {ankle_height_m: 0.68}\nmodel: human",
+            "subject.segments.ankle_height_m is 0.68, but must be at most 0.3",
+        ),
         ("lower: 1.0e5,", "lower: 1.0,", "lower bound is 1, but must be at"),
         (
             "    modulus",

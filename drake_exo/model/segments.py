@@ -102,7 +102,8 @@ class HumanParameters(_Chain):
         ball_m: place of that hinge in the foot; None: from its length.
     """
 
-    ankle_height_m: float = quantity("m", above=0.0, maximum=_FAR_M)
+    # As measured ones: of a small child, and in thick soles.
+    ankle_height_m: float = quantity("m", minimum=0.02, maximum=0.3)
     heel_m: tuple[float, float] = place()
     toe_m: tuple[float, float] = place()
     shank_cuff_m: tuple[float, float] = place()
