@@ -778,6 +778,11 @@ def test_what_is_asked_in_python_is_checked(study):
             "must include its value today",
         ),
         ("assistance: [1.1, 1.2]", "must include today's factor"),
+        ("assistance: [0.7, 130]", "is 130, but must be at most 50"),
+        (
+            "cuffs: {thigh: {area: [0.5, 150]}}",
+            "is 150, but must be at most 50",
+        ),
         ("limits: {support: -1}", "support is -1"),
         (
             "limits: {pressure_kpa: 8000}",

@@ -27,6 +27,7 @@ from drake_exo.contact.parameters import (
 from drake_exo.contact.strap import (
     PLACES,
     RELEASES,
+    SHARE,
     SHIFT,
     SOFTEST_N_M,
     SOFTEST_NM_RAD,
@@ -751,7 +752,7 @@ class CuffFreedom:
     )
     # All of a person's skin is 2 m^2.
     area_m2: float = quantity("m^2", 0.01, above=0.0, maximum=1.0)
-    area: tuple[float, float] = positive("1", (1.0, 1.0))
+    area: tuple[float, float] = quantity("1", (1.0, 1.0), above=0.0, **SHARE)
     slide: tuple[float, float] = field(default=(0.0, 0.0), metadata=_SHARE)
     hinge: tuple[float, float] = field(default=(0.0, 0.0), metadata=_SHARE)
     removable: bool = False
@@ -831,8 +832,8 @@ class DriveLimits:
 
 
 def _factor(default):
-    """A limit as a share of today's value; larger ones were given in %."""
-    return quantity("1", default, above=0.0, maximum=50.0)
+    """A limit as a share of today's value."""
+    return quantity("1", default, above=0.0, **SHARE)
 
 
 @dataclass(frozen=True)
@@ -1012,7 +1013,9 @@ class DesignSettings:
     cuffs: dict[str, CuffFreedom] = field(default_factory=dict)
     symmetric: bool = False
     joints: dict[str, JointFreedom] = field(default_factory=dict)
-    assistance: tuple[float, float] = quantity(None, (0.7, 1.3), above=0.0)
+    assistance: tuple[float, float] = quantity(
+        None, (0.7, 1.3), above=0.0, **SHARE
+    )
     assistance_over: Literal["angle", "movement", "gains"] = "angle"
     gains: GainFreedom = GainFreedom()
     points: int = quantity(None, 4, minimum=1)

@@ -37,6 +37,9 @@ from drake_exo.model.description import (
 from drake_exo.model.planar_tree import DEVICE
 from drake_exo.model.plant import Model
 
+# Bound of a share of today's value; a larger one was given in per cent.
+SHARE = {"maximum": 50.0}
+
 
 def gain_parts(today, angle, rate) -> tuple:
     """Derivative of the torque by each of `Gains`, for any scalar type.
@@ -86,7 +89,7 @@ class Gains(_Linear):
     array([3.])
     """
 
-    support: float = quantity("1", 1.0, minimum=0.0)
+    support: float = quantity("1", 1.0, minimum=0.0, **SHARE)
     constant_nm: float = quantity("N m", 0.0)
     stiffness_nm_rad: float = quantity("N m/rad", 0.0, minimum=0.0)
     damping_nm_s_rad: float = quantity("N m s/rad", 0.0, minimum=0.0)
@@ -123,7 +126,7 @@ class Assistance(_Linear):
     """
 
     angle_deg: tuple[float, ...] = quantity("deg", (0.0,))
-    factor: tuple[float, ...] = quantity(None, (1.0,), minimum=0.0)
+    factor: tuple[float, ...] = quantity(None, (1.0,), minimum=0.0, **SHARE)
     over: Literal["angle", "movement"] = "angle"
 
     def __post_init__(self):
@@ -294,7 +297,7 @@ class CuffDesign:
     across_m: float = quantity("m", 0.0, **SHIFT)
     preload_along_m: float = quantity("m", 0.0, **SHIFT)
     preload_across_m: float = quantity("m", 0.0, **SHIFT)
-    area: float = quantity("1", 1.0, above=0.0)
+    area: float = quantity("1", 1.0, above=0.0, **SHARE)
     slide: float = quantity("1", 0.0, minimum=0.0, maximum=1.0)
     hinge: float = quantity("1", 0.0, minimum=0.0, maximum=1.0)
     strap_tangential_n_m: float | None = quantity(

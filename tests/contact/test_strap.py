@@ -157,6 +157,12 @@ def test_files_hold_designs(tmp_path):
             "factor.0. is -1",
         ),
         ("gains: {exo_knee: {stiffness_nm_rad: -1}}", "at least 0 N m/rad"),
+        ("gains: {exo_knee: {support: 110}}", "support is 110, but must be at"),
+        (
+            "assistance: {exo_knee: {factor: [130]}}",
+            "factor.0. is 130, but must be at most 50",
+        ),
+        ("cuffs: {thigh: {area: 150}}", "area is 150, but must be at most 50"),
         ("gains: {exo_knee: {support: 1, spring: 2}}", "unknown key 'spring'"),
         ("gains: {exo_knee: {}}\nassistance: {exo_knee: {}}", "keep one"),
     ],
