@@ -194,6 +194,11 @@ def test_data_root_must_be_a_folder(tmp_path):
             "  segments: {ankle_height_m: 0.68}\nmodel: human",
             "subject.segments.ankle_height_m is 0.68, but must be at most 0.3",
         ),
+        (
+            "  solver: {",
+            "  solver: {tolerance: 1.0e+5, ",
+            "foot_ground.solver.tolerance is 1.0e+5, but must be at most 0.1",
+        ),
         ("lower: 1.0e5,", "lower: 1.0,", "lower bound is 1, but must be at"),
         (
             "    modulus",

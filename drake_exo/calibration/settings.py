@@ -276,7 +276,8 @@ class Solver:
     reduce: bool = True
     hessian: Literal["gauss_newton", "exact"] = "gauss_newton"
     solver: Literal["ipopt", "drake"] = "ipopt"
-    tolerance: float = quantity(None, 1e-5, above=0.0)
+    # Any start is a solution to looser ones.
+    tolerance: float = quantity(None, 1e-5, above=0.0, maximum=0.1)
     max_iterations: int = quantity(None, 300, minimum=1, maximum=1e9)
 
     def options(self) -> SolverOptions:
