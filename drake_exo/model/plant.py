@@ -229,7 +229,8 @@ class Model:
         """Segment -> sphere -> nominal centre (x, z) in the segment [m].
 
         Raises:
-            InputError: a sphere has no usual place, and none is given.
+            InputError: a sphere has no usual place, and none is given; or a
+                heel is not behind its toe.
         """
         usual = soles(self.human, self.assembly.human)
         if self.exoskeleton is not None and "foot" in usual:
@@ -254,6 +255,14 @@ class Model:
                         + f"give {name}: [x, z] in m"
                     )
                 found.setdefault(on, {})[name] = place
+        for body, own in found.items():
+            x = {without_side(name): at[0] for name, at in own.items()}
+            if "heel" in x and "toe" in x and x["heel"] >= x["toe"]:
+                raise InputError(
+                    f"the heel of the {body} is at x = {x['heel']:.3g} m, its "
+                    f"toe at {x['toe']:.3g} m, which is no further forward; "
+                    "correct heel_m and toe_m, or model.ground"
+                )
         return found
 
     @property

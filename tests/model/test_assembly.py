@@ -480,6 +480,19 @@ def test_a_cuff_lies_anywhere_on_its_limb():
             model.check_on_limb("at_m", "b", foot.at_m)
 
 
+def test_a_heel_in_front_of_its_toe_is_refused():
+    whole = nominal_model("coupled")
+    device = whole.exoskeleton
+    swapped = replace(device, heel_m=device.toe_m, toe_m=device.heel_m)
+    ground = {"foot": {"heel": (0.12, -0.06), "toe": (-0.05, -0.06)}}
+    for model in (
+        replace(whole, exoskeleton=swapped),
+        replace(whole, kind=replace(COUPLED, ground=ground)),
+    ):
+        with pytest.raises(InputError, match=r"heel of the foot .* no further"):
+            model.soles  # noqa: B018
+
+
 def test_every_sphere_is_under_the_foot_plate():
     ground = {"foot": ("heel", "ball", "toe")}
     model = nominal_model("coupled")
