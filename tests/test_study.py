@@ -199,6 +199,11 @@ def test_data_root_must_be_a_folder(tmp_path):
             "  solver: {tolerance: 1.0e+5, ",
             "foot_ground.solver.tolerance is 1.0e+5, but must be at most 0.1",
         ),
+        (
+            "{estimate_force_delay: true}",
+            "{fill_gaps_s: 200}",
+            "laboratory.fill_gaps_s is 200, but must be at most 10 s",
+        ),
         ("lower: 1.0e5,", "lower: 1.0,", "lower bound is 1, but must be at"),
         (
             "    modulus",

@@ -279,7 +279,8 @@ class Laboratory:
     force_delay_s: float = quantity("s", 0.0)
     estimate_force_delay: bool = False
     forces_act_on: Literal["body", "plate"] = "body"
-    fill_gaps_s: float = quantity("s", 0.0, minimum=0.0)
+    # Of a marker that is hidden for 10 s nothing is known; 200 was in ms.
+    fill_gaps_s: float = quantity("s", 0.0, minimum=0.0, maximum=10.0)
     encoder_delay_s: float = quantity("s", 0.0)
     estimate_encoder_delay: bool = True
     pressure_delay_s: float = quantity("s", 0.0)
