@@ -423,8 +423,12 @@ class Design:
             if cuff.removed:
                 continue
             x, z = places[name]
-            moved = x + cuff.across_m, z + cuff.along_m
-            model.check_on_limb(f"{DESIGN}: cuffs.{name}", name, moved)
+            x, z = x + cuff.across_m, z + cuff.along_m
+            model.check_on_limb(f"{DESIGN}: cuffs.{name}", name, (x, z))
+            x, z = np.add(model.preload(name), (x, z))
+            place = x + cuff.preload_across_m, z + cuff.preload_along_m
+            what = f"{DESIGN}: cuffs.{name}: the device's half"
+            model.check_on_limb(what, name, place)
         for joint in model.coordinates.device if self.removed else ():
             beyond = links_above(model, joint)
             cuffs = {c for c, (_, k) in model.tree.cuffs.items() if k in beyond}
