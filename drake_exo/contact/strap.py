@@ -28,6 +28,7 @@ from drake_exo.contact.systems import made_on_demand
 from drake_exo.errors import InputError, path_of
 from drake_exo.files import schema
 from drake_exo.files.schema import quantity
+from drake_exo.files.tables import read_bytes
 from drake_exo.model.description import (
     body_width,
     exoskeleton_sdf,
@@ -572,7 +573,7 @@ def read_design(folder: str | Path) -> Design:
         folder: its --out folder, or the file itself.
 
     Raises:
-        InputError: the file is missing, or a key or value is invalid.
+        InputError: the file is missing or empty, or a key or value is invalid.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -581,7 +582,14 @@ def read_design(folder: str | Path) -> Design:
     0.02
     """
     path = path_of(folder, "folder")
-    return schema.load(path / DESIGN if path.is_dir() else path, Design)
+    path = path / DESIGN if path.is_dir() else path
+    found = schema.load(path, Design)
+    if not read_bytes(path).strip():
+        raise InputError(
+            f"{path}: is empty; write the design again, or 'cuffs: {{}}' for "
+            "one that changes nothing"
+        )
+    return found
 
 
 def write_design(
