@@ -773,16 +773,48 @@ def test_what_is_asked_in_python_is_checked(study):
     [
         ("order: 2", "order is 2, but must be at least 4"),
         ("order: 200", "order is 200, but must be at most 100"),
+        ("draws: 100000", "draws is 100000, but must be at most 1000"),
         (
             "cuffs: {thigh: {along_m: [0.1, 0.2]}}",
             "must include its value today",
         ),
         ("assistance: [1.1, 1.2]", "must include today's factor"),
+        ("assistance: [0.7, 130]", "is 130, but must be at most 50"),
+        (
+            "cuffs: {thigh: {area: [0.5, 150]}}",
+            "is 150, but must be at most 50",
+        ),
         ("limits: {support: -1}", "support is -1"),
+        (
+            "limits: {pressure_kpa: 8000}",
+            "pressure_kpa is 8000, but must be at most 1000 kPa",
+        ),
+        (
+            "limits: {moment_factor: 100}",
+            "moment_factor is 100, but must be at most 50",
+        ),
+        (
+            "cuffs: {thigh: {area_m2: 100}}",
+            r"area_m2 is 100, but must be at most 1 m\^2",
+        ),
+        (
+            "gains: {stiffness_nm_rad: 5}",
+            "gains are those of assistance_over: gains, but it is angle",
+        ),
         (
             "population: {height_m: [1.7, 0.1], mass_kg: [70, 10], "
             "percentiles: [50, 50]}",
             "percentile is given twice",
+        ),
+        (
+            "population: {height_m: [1.7, 0.1], mass_kg: [70, 10], "
+            "percentiles: [0.05, 0.5, 0.95]}",
+            "percentiles are all below 1 %, up to 0.95; give per cent",
+        ),
+        (
+            "population: {height_m: [1.7, 0.1], mass_kg: [70, 10], "
+            "percentiles: []}",
+            "percentiles is empty; give at least one",
         ),
         (
             "population: {height_m: [170, 10], mass_kg: [70, 10]}",

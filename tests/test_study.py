@@ -139,6 +139,71 @@ def test_data_root_must_be_a_folder(tmp_path):
             "  constants: {static_friction: 0.5}\n  prior",
             "dynamic_friction 0.8 is above static_friction 0.5; give both",
         ),
+        (
+            "  prior",
+            "  constants: {hertz_smoothing: 0.3}\n  prior",
+            "constants.hertz_smoothing is 0.3, but must be at least 10 1/m",
+        ),
+        (
+            "  prior",
+            "  constants: {hunt_crossley_smoothing: 0.05}\n  prior",
+            "hunt_crossley_smoothing is 0.05, but must be at least 1 s/m",
+        ),
+        (
+            "  prior",
+            "  constants: {transition_velocity: 50}\n  prior",
+            "transition_velocity is 50, but must be at most 1 m/s",
+        ),
+        (
+            "  prior",
+            "  constants: {constant_contact_force: 1}\n  prior",
+            "constant_contact_force is 1, but must be at most 0.01",
+        ),
+        (
+            "upper: 1.0e7",
+            "upper: 1.0e13",
+            "modulus_n_m2: upper bound is 1e+13, but must be at most 1.2e+12",
+        ),
+        (
+            "\nfoot_ground:",
+            "\ninteraction: {errors: {friction: 40}}\nfoot_ground:",
+            "interaction.errors.friction is 40, but must be at most 10",
+        ),
+        (
+            "\nfoot_ground:",
+            "\ninteraction: {errors: {skin: 3}}\nfoot_ground:",
+            "interaction.errors.skin is 3, but must be at most 1 rad/rad",
+        ),
+        (
+            "\nfoot_ground:",
+            "\ninteraction: {errors: {encoder_offset_deg: 200}}\nfoot_ground:",
+            "errors.encoder_offset_deg is 200, but must be at most 180 deg",
+        ),
+        (
+            "model: human",
+            "model: human\nground: {belt_speed_m_s: 1240}",
+            "ground.belt_speed_m_s is 1240, but must be at most 15 m/s",
+        ),
+        (
+            "model: human",
+            "model: coupled\ndevice: {knee: {coulomb_speed_rad_s: 2.86}}",
+            "knee.coulomb_speed_rad_s is 2.86, but must be at most 1 rad/s",
+        ),
+        (
+            "model: human",
+            "  segments: {ankle_height_m: 0.68}\nmodel: human",
+            "subject.segments.ankle_height_m is 0.68, but must be at most 0.3",
+        ),
+        (
+            "  solver: {",
+            "  solver: {tolerance: 1.0e+5, ",
+            "foot_ground.solver.tolerance is 1.0e+5, but must be at most 0.1",
+        ),
+        (
+            "{estimate_force_delay: true}",
+            "{fill_gaps_s: 200}",
+            "laboratory.fill_gaps_s is 200, but must be at most 10 s",
+        ),
         ("lower: 1.0e5,", "lower: 1.0,", "lower bound is 1, but must be at"),
         (
             "    modulus",

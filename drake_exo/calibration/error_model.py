@@ -51,12 +51,14 @@ class ErrorSizes:
     2.0
     """
 
-    skin: float = not_negative("rad/rad", 0.03)
-    skin_bend: float = not_negative("rad/rad^2", 0.015)
-    encoder_offset_deg: float = not_negative("deg", 2.0)
+    # Skin turns less than the joint, an angle by no more than half a circle.
+    # Of friction that is off by more than a factor of 10 nothing is known.
+    skin: float = quantity("rad/rad", 0.03, minimum=0.0, maximum=1.0)
+    skin_bend: float = quantity("rad/rad^2", 0.015, minimum=0.0, maximum=1.0)
+    encoder_offset_deg: float = quantity("deg", 2.0, minimum=0.0, maximum=180.0)
     mat_share: float = quantity("1", 0.05, minimum=0.0, maximum=1.0)
     mat_offset_n: float = not_negative("N", 3.0)
-    friction: float = not_negative("1", 0.4)
+    friction: float = quantity("1", 0.4, minimum=0.0, maximum=10.0)
     encoder_clock_s: float = quantity("s", 0.03, minimum=0.0, maximum=1.0)
     mat_clock_s: float = quantity("s", 0.03, minimum=0.0, maximum=1.0)
 

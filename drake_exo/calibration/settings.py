@@ -27,6 +27,7 @@ from drake_exo.contact.parameters import (
 from drake_exo.contact.strap import (
     PLACES,
     RELEASES,
+    SHARE,
     SHIFT,
     SOFTEST_N_M,
     SOFTEST_NM_RAD,
@@ -160,13 +161,14 @@ class SphereSettings:
             "modulus_n_m2": {"unit": "N/m^2", "minimum": 1e4},
             "radius_m": {"unit": "m", "minimum": 1e-3},
         }
+        most = {  # diamond's modulus
+            "modulus_n_m2": {"unit": "N/m^2", "maximum": 1.2e12},
+            "radius_m": {"unit": "m", "maximum": 1.0},
+        }
         for name, given in _ranges(self).items():
-            check_bounds(
-                f"{name}: lower bound", given.lower, least.get(name, {})
-            )
-            if name == "radius_m":
-                most = {"unit": "m", "maximum": 1.0}
-                check_bounds(f"{name}: upper bound", given.upper, most)
+            for end, bounds in (("lower", least), ("upper", most)):
+                value, own = getattr(given, end), bounds.get(name, {})
+                check_bounds(f"{name}: {end} bound", value, own)
 
 
 @dataclass(frozen=True)
@@ -274,7 +276,8 @@ class Solver:
     reduce: bool = True
     hessian: Literal["gauss_newton", "exact"] = "gauss_newton"
     solver: Literal["ipopt", "drake"] = "ipopt"
-    tolerance: float = quantity(None, 1e-5, above=0.0)
+    # Any start is a solution to looser ones.
+    tolerance: float = quantity(None, 1e-5, above=0.0, maximum=0.1)
     max_iterations: int = quantity(None, 300, minimum=1, maximum=1e9)
 
     def options(self) -> SolverOptions:
@@ -748,8 +751,9 @@ class CuffFreedom:
     strap_nm_rad: float | None = quantity(
         "N m/rad", SOFTEST_NM_RAD, minimum=SOFTEST_NM_RAD
     )
-    area_m2: float = positive("m^2", 0.01)
-    area: tuple[float, float] = positive("1", (1.0, 1.0))
+    # All of a person's skin is 2 m^2.
+    area_m2: float = quantity("m^2", 0.01, above=0.0, maximum=1.0)
+    area: tuple[float, float] = quantity("1", (1.0, 1.0), above=0.0, **SHARE)
     slide: tuple[float, float] = field(default=(0.0, 0.0), metadata=_SHARE)
     hinge: tuple[float, float] = field(default=(0.0, 0.0), metadata=_SHARE)
     removable: bool = False
@@ -828,6 +832,11 @@ class DriveLimits:
     power_w: float | None = positive("W", None)
 
 
+def _factor(default):
+    """A limit as a share of today's value."""
+    return quantity("1", default, above=0.0, **SHARE)
+
+
 @dataclass(frozen=True)
 class DesignLimits:
     """Largest values that a wearer may feel; null for no such limit.
@@ -860,12 +869,15 @@ class DesignLimits:
     mean_n: float | None = positive("N", None)
     rate_n_s: float | None = positive("N/s", None)
     shear_n: float | None = positive("N", None)
-    pressure_kpa: float | None = positive("kPa", None)
+    # More than tissue bears, in any mean over a cuff: it was given in Pa.
+    pressure_kpa: float | None = quantity(
+        "kPa", None, above=0.0, maximum=1000.0
+    )
     migration_mm: float | None = positive("mm", 7.0)
     moment_nm: float | None = positive("N m", None)
-    moment_factor: float | None = positive("1", 1.0)
-    shear_factor: float | None = positive("1", None)
-    effort_factor: float | None = positive("1", 1.05)
+    moment_factor: float | None = _factor(1.0)
+    shear_factor: float | None = _factor(None)
+    effort_factor: float | None = _factor(1.05)
     support: float | None = positive("1", 0.005)
     drives: dict[str, DriveLimits] = field(default_factory=dict)
 
@@ -911,6 +923,17 @@ class Population:
     )
 
     def __post_init__(self):
+        if not self.percentiles:
+            raise InputError(
+                "percentiles is empty; give at least one, or leave population "
+                "out"
+            )
+        most = max(self.percentiles)
+        if most < 1.0:  # shares
+            raise InputError(
+                f"percentiles are all below 1 %, up to {most:g}; give per "
+                "cent, such as 5, 50, 95"
+            )
         if len(set(self.percentiles)) < len(self.percentiles):
             raise InputError("a percentile is given twice; give each once")
         for name, height, mass in self.bodies():
@@ -985,13 +1008,16 @@ class DesignSettings:
     own_angle_deg: float = positive("deg", 0.02)
     effort_nm: float = positive("N m", 2000.0)
     jerk: float | None = positive("rad/s^3", None)
-    draws: int = quantity(None, 0, minimum=0)
+    # All wearers are in one program; no computer holds more.
+    draws: int = quantity(None, 0, minimum=0, maximum=1000)
     seed: int = quantity(None, 0, minimum=0)
     population: Population | None = None
     cuffs: dict[str, CuffFreedom] = field(default_factory=dict)
     symmetric: bool = False
     joints: dict[str, JointFreedom] = field(default_factory=dict)
-    assistance: tuple[float, float] = quantity(None, (0.7, 1.3), above=0.0)
+    assistance: tuple[float, float] = quantity(
+        None, (0.7, 1.3), above=0.0, **SHARE
+    )
     assistance_over: Literal["angle", "movement", "gains"] = "angle"
     gains: GainFreedom = GainFreedom()
     points: int = quantity(None, 4, minimum=1)
@@ -1006,6 +1032,11 @@ class DesignSettings:
             raise InputError(
                 f"assistance is {lower:g} to {upper:g}, which must include "
                 "today's factor, 1"
+            )
+        if self.assistance_over != "gains" and self.gains != GainFreedom():
+            raise InputError(
+                "gains are those of assistance_over: gains, but it is "
+                f"{self.assistance_over}; leave gains out, or change it"
             )
 
     @property

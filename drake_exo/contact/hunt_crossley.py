@@ -40,6 +40,12 @@ from drake_exo.contact.scalars import (
 from drake_exo.errors import InputError
 from drake_exo.files.schema import quantity
 
+# Beyond these a constant has another unit: ground that is softer bears a foot
+# 0.1 m above it, halves the force of one at rest, or lets it slide like ice
+# at 1 m/s.
+_SHARP_1_M, _SHARP_S_M = {"minimum": 10.0}, {"minimum": 1.0}
+_SLIP = {"above": 0.0, "maximum": 1.0}
+
 
 @dataclass(frozen=True)
 class PaperConstants:
@@ -64,14 +70,14 @@ class PaperConstants:
     static_friction: float = quantity("1", 0.8, minimum=0.0, maximum=10.0)
     dynamic_friction: float = quantity("1", 0.8, minimum=0.0, maximum=10.0)
     viscous_friction: float = quantity("s/m", 0.5, minimum=0.0)
-    transition_velocity: float = quantity("m/s", 0.05, above=0.0)
-    hertz_sharpness: float = quantity("1/m", 300.0, above=0.0)
-    damping_sharpness: float = quantity("s/m", 300.0, above=0.0)
+    transition_velocity: float = quantity("m/s", 0.05, **_SLIP)
+    hertz_sharpness: float = quantity("1/m", 300.0, **_SHARP_1_M)
+    damping_sharpness: float = quantity("s/m", 300.0, **_SHARP_S_M)
     slope_sharpness: float = quantity("1/m", 20.0, above=0.0)
     slope_force: float = quantity("N", 1.0, minimum=0.0)
     slope_rate_sharpness: float = quantity("s/m", 50.0, above=0.0)
-    indentation_smoothing: float = quantity("m", 1e-5, above=0.0)
-    slip_smoothing: float = quantity("m/s", 1e-5, above=0.0)
+    indentation_smoothing: float = quantity("m", 1e-5, above=0.0, maximum=0.1)
+    slip_smoothing: float = quantity("m/s", 1e-5, **_SLIP)
 
 
 @dataclass(frozen=True)
@@ -91,10 +97,12 @@ class SimbodyConstants:
     static_friction: float = quantity("1", 0.8, minimum=0.0, maximum=10.0)
     dynamic_friction: float = quantity("1", 0.8, minimum=0.0, maximum=10.0)
     viscous_friction: float = quantity("s/m", 0.5, minimum=0.0)
-    transition_velocity: float = quantity("m/s", 0.05, above=0.0)
-    constant_contact_force: float = quantity("m², m²/s²", 1e-5, above=0.0)
-    hertz_smoothing: float = quantity("1/m", 300.0, above=0.0)
-    hunt_crossley_smoothing: float = quantity("s/m", 50.0, above=0.0)
+    transition_velocity: float = quantity("m/s", 0.05, **_SLIP)
+    constant_contact_force: float = quantity(
+        "m², m²/s²", 1e-5, above=0.0, maximum=0.01
+    )
+    hertz_smoothing: float = quantity("1/m", 300.0, **_SHARP_1_M)
+    hunt_crossley_smoothing: float = quantity("s/m", 50.0, **_SHARP_S_M)
     friction_rounding: float = quantity("1", 0.0, minimum=0.0)
 
 

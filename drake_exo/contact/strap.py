@@ -28,6 +28,7 @@ from drake_exo.contact.systems import made_on_demand
 from drake_exo.errors import InputError, path_of
 from drake_exo.files import schema
 from drake_exo.files.schema import quantity
+from drake_exo.files.tables import read_bytes
 from drake_exo.model.description import (
     body_width,
     exoskeleton_sdf,
@@ -36,6 +37,9 @@ from drake_exo.model.description import (
 )
 from drake_exo.model.planar_tree import DEVICE
 from drake_exo.model.plant import Model
+
+# Bound of a share of today's value; a larger one was given in per cent.
+SHARE = {"maximum": 50.0}
 
 
 def gain_parts(today, angle, rate) -> tuple:
@@ -86,7 +90,7 @@ class Gains(_Linear):
     array([3.])
     """
 
-    support: float = quantity("1", 1.0, minimum=0.0)
+    support: float = quantity("1", 1.0, minimum=0.0, **SHARE)
     constant_nm: float = quantity("N m", 0.0)
     stiffness_nm_rad: float = quantity("N m/rad", 0.0, minimum=0.0)
     damping_nm_s_rad: float = quantity("N m s/rad", 0.0, minimum=0.0)
@@ -123,7 +127,7 @@ class Assistance(_Linear):
     """
 
     angle_deg: tuple[float, ...] = quantity("deg", (0.0,))
-    factor: tuple[float, ...] = quantity(None, (1.0,), minimum=0.0)
+    factor: tuple[float, ...] = quantity(None, (1.0,), minimum=0.0, **SHARE)
     over: Literal["angle", "movement"] = "angle"
 
     def __post_init__(self):
@@ -294,7 +298,7 @@ class CuffDesign:
     across_m: float = quantity("m", 0.0, **SHIFT)
     preload_along_m: float = quantity("m", 0.0, **SHIFT)
     preload_across_m: float = quantity("m", 0.0, **SHIFT)
-    area: float = quantity("1", 1.0, above=0.0)
+    area: float = quantity("1", 1.0, above=0.0, **SHARE)
     slide: float = quantity("1", 0.0, minimum=0.0, maximum=1.0)
     hinge: float = quantity("1", 0.0, minimum=0.0, maximum=1.0)
     strap_tangential_n_m: float | None = quantity(
@@ -415,6 +419,17 @@ class Design:
                         f"{DESIGN}: {what}.{name}: the model has none; it has "
                         f"{', '.join(known) or 'none'}"
                     )
+        places = model.cuffs
+        for name, cuff in self.cuffs.items():
+            if cuff.removed:
+                continue
+            x, z = places[name]
+            x, z = x + cuff.across_m, z + cuff.along_m
+            model.check_on_limb(f"{DESIGN}: cuffs.{name}", name, (x, z))
+            x, z = np.add(model.preload(name), (x, z))
+            place = x + cuff.preload_across_m, z + cuff.preload_along_m
+            what = f"{DESIGN}: cuffs.{name}: the device's half"
+            model.check_on_limb(what, name, place)
         for joint in model.coordinates.device if self.removed else ():
             beyond = links_above(model, joint)
             cuffs = {c for c, (_, k) in model.tree.cuffs.items() if k in beyond}
@@ -558,7 +573,7 @@ def read_design(folder: str | Path) -> Design:
         folder: its --out folder, or the file itself.
 
     Raises:
-        InputError: the file is missing, or a key or value is invalid.
+        InputError: the file is missing or empty, or a key or value is invalid.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -567,7 +582,14 @@ def read_design(folder: str | Path) -> Design:
     0.02
     """
     path = path_of(folder, "folder")
-    return schema.load(path / DESIGN if path.is_dir() else path, Design)
+    path = path / DESIGN if path.is_dir() else path
+    found = schema.load(path, Design)
+    if not read_bytes(path).strip():
+        raise InputError(
+            f"{path}: is empty; write the design again, or 'cuffs: {{}}' for "
+            "one that changes nothing"
+        )
+    return found
 
 
 def write_design(

@@ -75,7 +75,8 @@ class Signal:
             raise InputError(
                 f"{self.source}: {what} cover {first:g} to {last:g} s, but the "
                 f"trial runs from {wanted[0]:g} to {wanted[-1]:g} s; export "
-                "the whole trial or shorten it with start_s and end_s"
+                "the whole trial, shorten it with start_s and end_s, or "
+                "correct encoder_delay_s or pressure_delay_s, taken off here"
             )
         return np.clip(wanted, first, last)
 

@@ -477,7 +477,8 @@ def common_time(
         raise InputError(
             f"{forces.source}: forces ({_span(forces.time)}) and markers "
             f"({_span(markers.time)}, {markers.source}) do not overlap in "
-            "time; give files of the same recording"
+            "time; give files of the same recording, or correct "
+            "laboratory.force_delay_s, taken off here"
         )
     time = markers.time[inside]
     check_filterable(

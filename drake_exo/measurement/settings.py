@@ -58,7 +58,9 @@ class JointDrive:
     inertia_kg_m2: float = quantity("kg m^2", 0.0, minimum=0.0)
     viscous_nm_s: float = quantity("N m s/rad", 0.0, minimum=0.0)
     coulomb_nm: float = quantity("N m", 0.0, minimum=0.0)
-    coulomb_speed_rad_s: float = quantity("rad/s", 0.05, above=0.0)
+    # Dry friction is full long before a joint turns at 1 rad/s; more was
+    # given in deg/s.
+    coulomb_speed_rad_s: float = quantity("rad/s", 0.05, above=0.0, maximum=1.0)
     stiffness_nm_rad: float = quantity("N m/rad", 0.0, minimum=0.0)
     rest_deg: float = quantity("deg", 0.0)
 
@@ -113,6 +115,17 @@ class Device:
                         f"{key}.{name}: the device has no such joint; it has "
                         f"{', '.join(known)}{nearest(name, known)}"
                     )
+        for key in usual:
+            ours = [
+                n
+                for n in names.device
+                if (names.follows(n) or "").split("_")[0] == key
+            ]
+            if set(ours) <= set(self.joints):
+                raise InputError(
+                    f"device.{key} is used for no joint, since device.joints "
+                    f"has values of {', '.join(ours)}; keep one of them"
+                )
 
     def of(self, joint: str, beside: str | None) -> JointDrive:
         """Dynamics of a device's joint, beside this joint of the person."""
@@ -266,7 +279,8 @@ class Laboratory:
     force_delay_s: float = quantity("s", 0.0)
     estimate_force_delay: bool = False
     forces_act_on: Literal["body", "plate"] = "body"
-    fill_gaps_s: float = quantity("s", 0.0, minimum=0.0)
+    # Of a marker that is hidden for 10 s nothing is known; 200 was in ms.
+    fill_gaps_s: float = quantity("s", 0.0, minimum=0.0, maximum=10.0)
     encoder_delay_s: float = quantity("s", 0.0)
     estimate_encoder_delay: bool = True
     pressure_delay_s: float = quantity("s", 0.0)
@@ -295,7 +309,8 @@ class Ground:
     1.24
     """
 
-    belt_speed_m_s: float = quantity("m/s", 0.0)
+    # Nobody runs at 15 m/s.
+    belt_speed_m_s: float = quantity("m/s", 0.0, minimum=-15.0, maximum=15.0)
 
 
 @dataclass(frozen=True)
@@ -545,6 +560,11 @@ class Load:
                 "where a mass is say either markers on it or at_m in the "
                 "segment"
             )
+        if self.forces is None and self.plate != 1:
+            raise InputError(
+                "plate is the number of a force in a load's file, but this one "
+                "is a mass; leave plate out, or give forces"
+            )
         placed = self.markers or self.at_m is not None
         timed = self.from_s is not None or self.to_s is not None
         if self.forces is not None and (placed or timed):
@@ -637,6 +657,13 @@ class TrialFiles:
                 raise InputError(
                     f"{key} and {time} both say where the used part "
                     f"{'starts' if key == 'from' else 'ends'}; leave one out"
+                )
+        for what, time in (("rise", "start_s"), ("sit", "end_s")):
+            seated = self.seated_s > 0.0 and getattr(self, what) is not None
+            if seated and getattr(self, time) is not None:
+                raise InputError(
+                    f"seated_s and {time} both say where the {what} "
+                    f"{'starts' if what == 'rise' else 'ends'}; leave one out"
                 )
         mats = [name for file in self.pressure for name in file.mats]
         _once(mats, "pressure names {} in two files, and its force")

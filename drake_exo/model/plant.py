@@ -229,7 +229,8 @@ class Model:
         """Segment -> sphere -> nominal centre (x, z) in the segment [m].
 
         Raises:
-            InputError: a sphere has no usual place, and none is given.
+            InputError: a sphere has no usual place, and none is given; or a
+                heel is not behind its toe.
         """
         usual = soles(self.human, self.assembly.human)
         if self.exoskeleton is not None and "foot" in usual:
@@ -254,6 +255,14 @@ class Model:
                         + f"give {name}: [x, z] in m"
                     )
                 found.setdefault(on, {})[name] = place
+        for body, own in found.items():
+            x = {without_side(name): at[0] for name, at in own.items()}
+            if "heel" in x and "toe" in x and x["heel"] >= x["toe"]:
+                raise InputError(
+                    f"the heel of the {body} is at x = {x['heel']:.3g} m, its "
+                    f"toe at {x['toe']:.3g} m, which is no further forward; "
+                    "correct heel_m and toe_m, or model.ground"
+                )
         return found
 
     @property
@@ -291,12 +300,41 @@ class Model:
         links = self.assembly.cuffs[cuff]
         segment = links.human.split("_")[0]
         if links.at_m is not None:
+            self.check_on_limb(f"model.cuffs.{cuff}.at_m", cuff, links.at_m)
             return links.at_m
         if segment not in CUFFED:
             raise InputError(
                 f"cuff {cuff!r} has no usual place on {links.human}; give at_m"
             )
-        return self.human.cuff_m(segment)
+        key, own = f"{segment}_cuff_m", self.human.cuff_m(segment)
+        self.check_on_limb(f"subject.segments.{key}", cuff, own)
+        if self.exoskeleton is not None:
+            device = self.exoskeleton.cuff_m(segment)
+            self.check_on_limb(f"exoskeleton.{key}", cuff, device)
+        return own
+
+    def check_on_limb(self, what: str, cuff: str, place) -> None:
+        """Refuse a place (x, z) [m] of a cuff that is off its segment.
+
+        Raises:
+            InputError: it names the field `what`.
+        """
+        segment = self.assembly.cuffs[cuff].human
+        part = segment.split("_")[0]
+        part = "foot" if part == "toes" else part
+        length = getattr(self.human, part).length_m
+        # No limb is thicker than it is long; a strap may lie a little beyond
+        # its ends. A foot's origin, the ankle, is above its middle.
+        limits = (-0.5, 0.5), (-0.25, 1.25)
+        if part == "foot":
+            limits = (-1.0, 1.0), (-1.0, 1.0)
+        for axis, at, (low, high) in zip("xz", place, limits, strict=True):
+            if not low * length <= at <= high * length:
+                raise InputError(
+                    f"{what}: {axis} is {at:.3g} m, which is off the "
+                    f"{segment}, {length:.3g} m long; give [x, z] in m, x "
+                    "forward and z up from its lower joint"
+                )
 
     def preload(self, cuff: str) -> tuple[float, float]:
         """Place (x, z) of a cuff in the device minus that in the human [m].

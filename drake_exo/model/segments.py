@@ -102,7 +102,8 @@ class HumanParameters(_Chain):
         ball_m: place of that hinge in the foot; None: from its length.
     """
 
-    ankle_height_m: float = quantity("m", above=0.0, maximum=_FAR_M)
+    # As measured ones: of a small child, and in thick soles.
+    ankle_height_m: float = quantity("m", minimum=0.02, maximum=0.3)
     heel_m: tuple[float, float] = place()
     toe_m: tuple[float, float] = place()
     shank_cuff_m: tuple[float, float] = place()
@@ -201,7 +202,16 @@ def with_overrides(parameters: _T, overrides: Any, where: str) -> _T:
             for number in value if isinstance(value, tuple) else (value,):
                 check_bounds(label, number, field_.metadata)
             changes[name] = value
-    return replace(parameters, **changes)
+    found = replace(parameters, **changes)
+    if changes and isinstance(found, SegmentParameters):
+        gyration = (found.inertia_kg_m2 / found.mass_kg) ** 0.5
+        if gyration > 1.0:  # no segment has all its mass that far out
+            raise InputError(
+                f"{where}: inertia_kg_m2 {found.inertia_kg_m2:g} of "
+                f"{found.mass_kg:g} kg is that of a ring of {gyration:.2g} m "
+                "radius; correct one of them, kg m^2 and kg"
+            )
+    return found
 
 
 @dataclass(frozen=True)

@@ -144,6 +144,7 @@ def test_files_hold_designs(tmp_path):
     [
         ("cuffs: {thigh: {strap_normal_n_m: 10}}", "at least 1000 N/m"),
         ("cuffs: {thigh: {along: 0.1}}", "did you mean 'along_m'"),
+        ("\n", "design.yaml: is empty; write the design again"),
         (
             "assistance: {exo_knee: {angle_deg: [9, 3], factor: [1, 1]}}",
             "angle_deg does not increase",
@@ -157,6 +158,12 @@ def test_files_hold_designs(tmp_path):
             "factor.0. is -1",
         ),
         ("gains: {exo_knee: {stiffness_nm_rad: -1}}", "at least 0 N m/rad"),
+        ("gains: {exo_knee: {support: 110}}", "support is 110, but must be at"),
+        (
+            "assistance: {exo_knee: {factor: [130]}}",
+            "factor.0. is 130, but must be at most 50",
+        ),
+        ("cuffs: {thigh: {area: 150}}", "area is 150, but must be at most 50"),
         ("gains: {exo_knee: {support: 1, spring: 2}}", "unknown key 'spring'"),
         ("gains: {exo_knee: {}}\nassistance: {exo_knee: {}}", "keep one"),
     ],
@@ -183,6 +190,22 @@ def test_a_design_of_another_device_is_refused(nominal):
     ):
         with pytest.raises(InputError, match=rf"{what}\.exo_toe"):
             design.check(nominal("coupled"))
+
+
+@pytest.mark.parametrize(
+    "moved",
+    [
+        {"along_m": 0.5},
+        {"along_m": -0.45},
+        {"across_m": 0.3},
+        {"preload_across_m": 0.3},
+        {"along_m": 0.2, "preload_along_m": 0.2},
+    ],
+)
+def test_a_design_with_a_cuff_off_its_limb_is_refused(nominal, moved):
+    design = Design({"thigh": CuffDesign(**moved)})
+    with pytest.raises(InputError, match=r"cuffs\.thigh: .* off the thigh"):
+        design.check(nominal("coupled"))
 
 
 def test_area_makes_tissue_stiffer_and_known_likewise(contact):

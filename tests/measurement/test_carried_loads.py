@@ -171,6 +171,10 @@ def test_markers_carry_the_mass(tmp_path):
         ({"body": "pelvis", "mass_kg": 1, "at_m": [0, 300]}, "at most 3 m"),
         ({"body": "pelvis", "forces": "f.mot", "from_s": 1}, "leave markers, "),
         (
+            {"body": "pelvis", "mass_kg": 1, "at_m": [0, 0], "plate": 2},
+            "is a mass; leave plate out",
+        ),
+        (
             {
                 "body": "pelvis",
                 "mass_kg": 1,

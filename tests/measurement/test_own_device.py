@@ -213,6 +213,11 @@ def test_devices_that_cannot_be_end_a_command(
             {"hip": {"coulomb_nm": 2}},
             "device.hip: the device has no such joint; it has ankle",
         ),
+        (
+            {"ankle": {"viscous_nm_s": 1}, "joints": {"motor": {}}},
+            "device.ankle is used for no joint, since device.joints has values "
+            "of motor; keep one of them",
+        ),
     ],
 )
 def test_friction_of_no_joint_ends_a_command(folder, capsys, device, words):

@@ -348,6 +348,7 @@ def test_refuses_files_that_do_not_overlap(files):
     edit_forces(folder, lambda t: replace(t, time=t.time + 100.0))
     message = refusal(study, folder)
     assert "sts.mot" in message and "do not overlap in time" in message
+    assert "laboratory.force_delay_s" in message  # 30 for 0.03 looks alike
 
 
 def test_refuses_hardly_any_overlap(files):

@@ -362,7 +362,10 @@ def test_refuses_encoders_and_moments_that_are_short(files):
         whole = path.read_text()
         path.write_text("\n".join(whole.splitlines()[:180]) + "\n")
         case = with_trial(study, exo_moments=Path("moments.csv"))
-        with pytest.raises(InputError, match=rf"{name}: .* cover 0 to 1\.78 s"):
+        with pytest.raises(
+            InputError,
+            match=rf"{name}: .* cover 0 to 1\.78 s.* or correct enc.*_delay_s",
+        ):
             load(case, folder)
         path.write_text(whole)
 
@@ -385,6 +388,12 @@ def test_a_seated_start_needs_a_rise_and_a_chair():
         TrialFiles(plates=Plates(left=1, right=2), rise=1, **common)
     with pytest.raises(InputError, match="counts back from a rise"):
         TrialFiles(plates=Plates(left=1, right=2, chair=3), **common)
+    plates = Plates(left=1, right=2, chair=3)
+    with pytest.raises(InputError, match="seated_s and start_s both say"):
+        TrialFiles(plates=plates, rise=1, start_s=2.0, **common)
+    with pytest.raises(InputError, match="seated_s and end_s both say"):
+        TrialFiles(plates=plates, sit=1, end_s=2.0, **common)
+    TrialFiles(plates=plates, rise=1, end_s=2.0, **common)
     with pytest.raises(InputError, match="under the chair and a foot"):
         Plates(left=1, right=2, chair=2)
 

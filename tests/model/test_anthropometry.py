@@ -203,6 +203,10 @@ def test_overrides_replace_single_values_only():
         ({"heel_m": ("a", "b")}, r"heel_m must be a number \[m\]"),
         ({"toe_m": (0.1, float("nan"))}, "toe_m.*finite"),
         ({"thigh_cuff_m": (0.0, 250.0)}, "thigh_cuff_m is 250, .* most 3 m"),
+        (
+            {"shank": SegmentOverrides(inertia_kg_m2=60.0)},
+            r"human\.shank: inertia_kg_m2 60 of .* kg is that of a ring of",
+        ),
         ({"shank": SegmentOverrides(length_m=430.0)}, "length_m.*most 3 m"),
     ],
 )

@@ -445,6 +445,54 @@ def test_part_of_the_shipped_device():
     assert model.preload("thigh") == (0.0, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("place", "axis"),
+    [
+        ((0.25, 0.0), "x"),  # [z, x]
+        ((0.0, 2.5), "z"),
+        ((0.0, -0.25), "z"),
+    ],
+)
+def test_a_cuff_off_its_limb_is_refused(place, axis):
+    whole = nominal_model("coupled")
+    human = replace(whole.human, thigh_cuff_m=place)
+    device = replace(whole.exoskeleton, thigh_cuff_m=place)
+    cuffs = {"thigh": CuffLinks("thigh", "exo_thigh", at_m=place)}
+    for model, field in (
+        (replace(whole, human=human), "subject.segments.thigh_cuff_m"),
+        (replace(whole, exoskeleton=device), "exoskeleton.thigh_cuff_m"),
+        (replace(whole, kind=replace(COUPLED, cuffs=cuffs)), "model.cuffs"),
+    ):
+        with pytest.raises(InputError, match=f"{field}.*: {axis} is .* thigh"):
+            model.cuffs  # noqa: B018
+
+
+def test_a_cuff_lies_anywhere_on_its_limb():
+    whole = nominal_model("coupled")
+    foot = CuffLinks("foot", "exo_shank", at_m=(0.05, -0.03))
+    for segment in ("shank", "thigh", "pelvis"):
+        length = getattr(whole.human, segment).length_m
+        for at in ((0.0, 0.0), (0.15, length), (-0.15, 0.5 * length)):
+            cuffs = {"a": CuffLinks(segment, f"exo_{segment}", at_m=at)}
+            kind = replace(COUPLED, cuffs=cuffs | {"b": foot})
+            model = replace(whole, kind=kind)
+            model.check_on_limb("at_m", "a", at)
+            model.check_on_limb("at_m", "b", foot.at_m)
+
+
+def test_a_heel_in_front_of_its_toe_is_refused():
+    whole = nominal_model("coupled")
+    device = whole.exoskeleton
+    swapped = replace(device, heel_m=device.toe_m, toe_m=device.heel_m)
+    ground = {"foot": {"heel": (0.12, -0.06), "toe": (-0.05, -0.06)}}
+    for model in (
+        replace(whole, exoskeleton=swapped),
+        replace(whole, kind=replace(COUPLED, ground=ground)),
+    ):
+        with pytest.raises(InputError, match=r"heel of the foot .* no further"):
+            model.soles  # noqa: B018
+
+
 def test_every_sphere_is_under_the_foot_plate():
     ground = {"foot": ("heel", "ball", "toe")}
     model = nominal_model("coupled")
