@@ -8,7 +8,7 @@ import numpy as np
 
 from drake_exo.errors import InputError, check_type, path_of
 from drake_exo.files import schema
-from drake_exo.soles.mesh import TetMesh, check_mesh
+from drake_exo.soles.mesh import TetMesh, check_frame, check_mesh
 from drake_exo.soles.optimize.design import Design
 from drake_exo.soles.optimize.files import Checkpoint, read_checkpoint
 from drake_exo.soles.optimize.search import in_own_walk, optimise
@@ -153,6 +153,7 @@ class Case(Setup):
         """Refuse what a case made in Python may hold, and a file may not."""
         check_type(self.mesh, TetMesh, "mesh")
         check_mesh(self.mesh, "mesh")
+        check_frame(self.mesh, "mesh")
         self.check_load()
 
     def _check_walk(self) -> None:

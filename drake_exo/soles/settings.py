@@ -30,6 +30,7 @@ from drake_exo.soles.mesh import (
     SphericalSpline,
     TetMesh,
     brick,
+    check_frame,
     halved,
     read_mesh,
 )
@@ -362,9 +363,12 @@ class Settings:
         if replacement is not None and origin is not None:
             origin = (0.0, 0.0, 0.0)  # as sole.vtk, in the sole's frame
         if path.suffix.lower() not in SUFFIXES:
-            return read_mesh(path, origin)
-        surface = read_surface(path, block.unit)
-        return sole_from_surface(surface, block.tets, block.top_m, origin)
+            mesh = read_mesh(path, origin)
+        else:
+            surface = read_surface(path, block.unit)
+            mesh = sole_from_surface(surface, block.tets, block.top_m, origin)
+        check_frame(mesh, path)
+        return mesh
 
     def start_pose(self, mesh: TetMesh, ground: Ground = FLAT) -> Start:
         """How the sole is held until contact.

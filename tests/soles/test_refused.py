@@ -269,6 +269,25 @@ def test_a_frame_below_the_top(tmp_path, above):
         found.optimize()
 
 
+@pytest.mark.parametrize("z", [-0.03, -0.05, 30.0])
+def test_a_frame_at_the_underside_or_far_off(tmp_path, z):
+    """Laid flat, a sole would stand on its frame's origin."""
+    made = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    mesh = made.mesh
+    cells = [("tetra", mesh.tets)]
+    meshio.Mesh(mesh.nodes, cells).write(tmp_path / "sole.vtk")
+    block = MeshBlock("sole.vtk", origin_m=(0.0, 0.0, z))
+    words = rf"z = {-0.03 - z:g} m in its frame.* give mesh\.origin_m"
+    with pytest.raises(InputError, match=f"sole.vtk: .*{words}"):
+        replace(made.settings, mesh=block).read_mesh(tmp_path)
+    there = mesh.with_nodes(mesh.nodes - [0.0, 0.0, z])
+    with pytest.raises(InputError, match=f"mesh: .*{words}"):
+        replace(made, mesh=there).simulate()
+    # A frame in the ankle is not far off.
+    block = replace(block, origin_m=(0.0, 0.0, 0.1))
+    replace(made.settings, mesh=block).read_mesh(tmp_path)
+
+
 def test_a_footbed_below_its_rim_keeps_its_frame(tmp_path):
     """A cup's: the rim is at z = 0, what is glued below it."""
     mesh = brick((0.24, 0.12, 0.03), (6, 4, 3))
