@@ -166,7 +166,7 @@ class Stage:
     samples: int | None = quantity(None, None, minimum=1)
     layer_m: float = quantity("m", 1e-5, above=0.0, maximum=0.01)
     kappa: float = quantity("", 0.1, minimum=0.0, maximum=1.0)
-    iterations: int = quantity(None, 40, minimum=0)
+    iterations: int = quantity(None, 40, minimum=0, maximum=1_000_000)
     roughness: float = not_negative("", 1.0)
 
 

@@ -26,6 +26,7 @@ from drake_exo.soles.settings import (
     MeshBlock,
     OptimizeBlock,
     ShapeBlock,
+    Stage,
     StartBlock,
 )
 from drake_exo.soles.walking_pattern import Robot
@@ -224,6 +225,7 @@ def test_lengths_and_keys_of_a_case():
             ("gravity_m_per_s2: 9810", Robot),
             ("intervals: [10, 1_000]", OptimizeBlock),
             ("starts: 1000000", OptimizeBlock),
+            ("iterations: 3000000000", Stage),
             ("point_in_world_m: [115, 0]", StartBlock),
         ),
         "least": (
