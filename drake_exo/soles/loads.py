@@ -442,6 +442,11 @@ def read_csv(path) -> Load:
             )
     t, fx, fy, fz, zx, zy = (table[name] for name in CSV_COLUMNS)
     begins, weights = np.zeros(1, int), np.ones(1)
+    if "weight" in table and "load" not in table:
+        raise InputError(
+            f"{path}:1: column 'weight' is of several loads and would not be "
+            "used; number them in a column 'load', or rename it"
+        )
     if "load" in table:
         number, weight = table["load"], table.get("weight", np.ones(len(t)))
         counts = np.isin(np.diff(number), (0, 1)).all()

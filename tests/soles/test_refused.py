@@ -50,6 +50,7 @@ def case(tmp_path):
         ("Free_Moment_Nm", "1", "name it free_moment_nm, in N·m"),
         ("Load", "0 1", "'Load' would not be read; name it load$"),
         ("load,WEIGHT", "0,1 1,2", "'WEIGHT' would not be read; name it"),
+        ("weight", "1 2", "'weight' is of several loads and would not be"),
         ("load,weight", "1,1 0,1", "'load' has to count from 0 on"),
         ("load,weight", "0,1 1,1 0,1", "'load' has to count from 0 on"),
         ("load,weight", "0,1 1,0", "'weight' has to be above 0"),
