@@ -153,6 +153,15 @@ def test_parts_of_another_type_in_python():
             dx.soles.pareto_front(case, floors)
 
 
+def test_a_smoothed_law_that_is_too_thick_for_a_stiff_sole(monkeypatch):
+    """Of 1 GPa, say: the case itself is simulated by the exact law."""
+    monkeypatch.setattr(ShapeProblem, "evaluate", lambda *given: None)
+    case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    words = "simulate the case, .*; if it holds, give optimize.stages a smaller l"
+    with pytest.raises(InputError, match=words):
+        case.optimize()
+
+
 @pytest.mark.slow
 def test_a_front_whose_first_design_is_none_names_what_made_it(monkeypatch):
     """A mass limit of a few grams, say, leaves a sheet."""
