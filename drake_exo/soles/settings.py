@@ -457,9 +457,9 @@ class Setup:
         if load.rotation is not None:
             turned = load.rotation @ rotation_z(self.start.yaw)
             load = replace(load, rotation=turned)
-        replace(self, load=load).check_load()
-        width = float(np.ptp(self.mesh.nodes[:, :2], axis=0).min())
-        return load.bearable(self.settings.contact.friction, width, self.up)
+        setup = replace(self, load=load)
+        setup.check_load()
+        return setup.bearable_load
 
     def check_load(self) -> None:
         """Refuse a load that no pose of the sole can carry.
@@ -476,6 +476,15 @@ class Setup:
         # Stress over strain where no side can bulge.
         stiff = material.lame_lambda + 2 * material.shear_modulus
         self.load.check_pressed(stiff * area)
+
+    @property
+    def bearable_load(self) -> Load:
+        """The load with free moments that friction bears, cut once."""
+        if self.load.moment_cut is not None:
+            return self.load
+        width = float(np.ptp(self.mesh.nodes[:, :2], axis=0).min())
+        friction = self.settings.contact.friction
+        return self.load.bearable(friction, width, self.up)
 
     @property
     def gait(self) -> Gait | None:

@@ -111,6 +111,20 @@ def test_a_load_given_in_python_is_checked_as_a_file_s(changed, words):
             run()
 
 
+def test_free_moments_given_in_python_are_cut_as_a_file_s():
+    case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    most = (0.8 * 400 - 10) * 0.13 / 4
+    load = replace(case.load, free_moment=[50.0, 1.0, 0.0, -1.0, -50.0])
+    step = replace(case, load=load).simulate()
+    found = step.setup.load
+    assert found.free_moment == pytest.approx([most, 1, 0, -1, -most])
+    assert (found.moments_cut, step.failed_steps) == (2, 0)
+    # Once: of a design those stay that its initial shape's width bears.
+    kept = replace(found, free_moment=1.1 * found.free_moment)
+    again = replace(case, load=kept).bearable_load
+    assert again is kept and again.moments_cut == 2
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
