@@ -140,6 +140,13 @@ class SoleLaw:
             if "." in name or not name.strip():
                 raise InputError(f"spheres: {name!r} is not a name; rename it")
         self._check_places()
+        found = self.constants
+        if found.dynamic_friction > found.static_friction:
+            raise InputError(
+                f"constants: dynamic_friction {found.dynamic_friction:g} is "
+                f"above static_friction {found.static_friction:g}; give both, "
+                "the dynamic one no higher"
+            )
 
     def _check_places(self) -> None:
         """Refuse spheres that cannot lie at the bottom of such a sole."""

@@ -229,10 +229,11 @@ def test_a_law_in_other_units_is_refused(sphere, size, words):
         ("y_m: 0.3", "", r"their y_m lie up to 0\.3 m apart"),
         ("z_m: -0.1", "", r"their z_m lie up to 0\.11 m apart"),
         ("radius_m: 0.32", "", r"heel reaches down to -0\.32 m"),
+        ("z_m: 0.01", "constants: {static_friction: 0.3}", "give both, the"),
     ],
 )
 def test_a_law_edited_by_hand(heel, more, words):
-    """Half a metre up, x and z exchanged."""
+    """Half a metre up, x and z exchanged, one friction of two."""
     spheres = (
         f"heel: {{modulus_n_m2: 2.0e7, {heel}}}, "
         "toe: {modulus_n_m2: 2.0e7, x_m: 0.1, z_m: 0.01}"
