@@ -217,13 +217,20 @@ class SoleLaw:
                 on the floor of the standing trial.
 
         Raises:
-            InputError: toes are hinged.
+            InputError: toes are hinged, or the sole lies above the ankle.
         """
         self.check_worn(model.assembly.human)
         if at_m is None:
             x = [x for x, _ in model.spheres.values()]
             floor = -model.human.ankle_height_m
             at_m = 0.5 * (min(x) + max(x)), floor + self.size_m[2]
+        bottom = float(at_m[1] - self.size_m[2])
+        if bottom >= 0.0:
+            raise InputError(
+                f"foot_ground.sole_at_m: the bottom of the sole lies at z = "
+                f"{bottom:g} m in the foot, not below its ankle; give (x, z) "
+                "of the sole's frame from there, z upwards, in metres"
+            )
         soles = 1 if model.assembly.human.sides else 2
         spheres = {
             name: ContactSphere(

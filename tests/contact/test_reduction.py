@@ -248,6 +248,15 @@ def test_a_law_edited_by_hand(heel, more, words):
         schema.load_text(deep.replace("0.022", "0.3"), SoleLaw)
 
 
+@pytest.mark.parametrize("at", [(0.05, 0.04), (-0.04, 0.05)])
+def test_a_sole_above_the_ankle_is_refused(at):
+    """Its z without a sign, or exchanged with x: a fit hid it in the floor."""
+    model = Model(Assembly(Person("one")), nominal_human())
+    with pytest.raises(InputError, match=r"sole_at_m: the bottom .* at z = 0"):
+        _law().ground(model, at)
+    _law().ground(model, (0.05, -0.04))
+
+
 @pytest.mark.parametrize("legs", ["one", "two"])
 def test_feet_press_as_the_soles_do(legs):
     """A diagram's ground reaction, level and 1.2 mm deep, against one sole's.
