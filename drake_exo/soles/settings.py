@@ -31,6 +31,7 @@ from drake_exo.soles.mesh import (
     TetMesh,
     brick,
     check_frame,
+    check_turned,
     halved,
     read_mesh,
 )
@@ -50,6 +51,9 @@ class Brick:
 
     size_m: Vector3 = quantity("m", minimum=1e-3)
     divisions: tuple[int, int, int] = quantity(None, minimum=1)
+
+    def __post_init__(self):
+        check_turned(np.array([(0.0, 0.0, 0.0), self.size_m]), "size_m")
 
 
 @dataclass(frozen=True)

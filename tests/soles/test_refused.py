@@ -22,6 +22,7 @@ from drake_exo.soles.mesh import brick, read_mesh
 from drake_exo.soles.optimize import search
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.settings import (
+    Brick,
     ContactBlock,
     MeshBlock,
     OptimizeBlock,
@@ -229,6 +230,9 @@ def test_lengths_and_keys_of_a_case():
         InputError, match=r"unit is for a file, not for a brick"
     ):
         MeshBlock(brick=object(), unit="mm")
+    text = "size_m: [0.13, 0.23, 0.03]\ndivisions: [3, 4, 2]"
+    with pytest.raises(InputError, match=r":1: size_m: .* 130 x 230 x 30 mm"):
+        schema.load_text(text, Brick)
     made = dx.soles.Case.from_text(dx.soles.EXAMPLE)
     start = replace(made.settings.start, point_in_sole_m=(-115.0, 0.0, -30.0))
     off = replace(made.settings, start=start)
