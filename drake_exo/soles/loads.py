@@ -160,7 +160,9 @@ class Load:
                 f"{self.force[first, 2]:g} N at {self.times[first]:g} s; it "
                 "must be above 0 at every sample, so "
                 + (
-                    "turn all signs: forces are those of the ground on the sole"
+                    "turn all signs: forces are those of the ground on the "
+                    "sole; or, where z points down, those of force y and z and "
+                    "of zmp y alone: y is left, z up"
                     if np.median(self.force[:, 2]) < 0.0
                     else "leave the swing phase out, and give each contact "
                     "a load of its own"
