@@ -98,7 +98,9 @@ class MaterialBlock:
         "Pa", None, minimum=1e3, maximum=1e12
     )
     poissons_ratio: float | None = None
-    density_kg_per_m3: float | None = quantity("kg/m³", None, minimum=10.0)
+    density_kg_per_m3: float | None = quantity(
+        "kg/m³", None, minimum=10.0, maximum=3e4
+    )
 
     def material(self) -> Material:
         """The material with its numbers filled in."""

@@ -24,6 +24,7 @@ from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.settings import (
     Brick,
     ContactBlock,
+    MaterialBlock,
     MeshBlock,
     OptimizeBlock,
     ShapeBlock,
@@ -172,7 +173,9 @@ def test_a_smoothed_law_that_is_too_thick_for_a_stiff_sole(monkeypatch):
     """Of 1 GPa, say: the case itself is simulated by the exact law."""
     monkeypatch.setattr(ShapeProblem, "evaluate", lambda *given: None)
     case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
-    words = "simulate the case, .*; if it holds, give optimize.stages a smaller l"
+    words = (
+        "simulate the case, .*; if it holds, give optimize.stages a smaller l"
+    )
     with pytest.raises(InputError, match=words):
         case.optimize()
 
@@ -254,6 +257,7 @@ def test_lengths_and_keys_of_a_case():
             ("intervals: [10, 1_000]", OptimizeBlock),
             ("starts: 1000000", OptimizeBlock),
             ("iterations: 3000000000", Stage),
+            ("name: neoprene\ndensity_kg_per_m3: 1.23e6", MaterialBlock),
             ("point_in_world_m: [115, 0]", StartBlock),
         ),
         "least": (
