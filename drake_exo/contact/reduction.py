@@ -32,6 +32,9 @@ _LOADED = 0.1  # share of the largest force above which the CoP is fitted
 _FORCE, _COP_M = 0.03, 0.002  # errors of weight one: share of F_max, and [m]
 _STARTS = 6  # first guesses of the fit
 _LOWER_N_M2, _UPPER_N_M2 = 1e4, 1e10  # bounds of the modulus
+# What no law of a sole reaches: its spheres' extent over the sole's, how far
+# they are from one height, and from the sole's bottom [m].
+_SPREAD, _UNEVEN_M, _OFF_M = 1.5, 0.1, 0.2
 _SD = 1.96  # standard deviations in the half-width of a 95 % interval
 
 
@@ -136,6 +139,36 @@ class SoleLaw:
         for name in self.spheres:
             if "." in name or not name.strip():
                 raise InputError(f"spheres: {name!r} is not a name; rename it")
+        self._check_places()
+        found = self.constants
+        if found.dynamic_friction > found.static_friction:
+            raise InputError(
+                f"constants: dynamic_friction {found.dynamic_friction:g} is "
+                f"above static_friction {found.static_friction:g}; give both, "
+                "the dynamic one no higher"
+            )
+
+    def _check_places(self) -> None:
+        """Refuse spheres that cannot lie at the bottom of such a sole."""
+        length, width, deep = self.size_m
+        most = _SPREAD * length, _SPREAD * width, _UNEVEN_M
+        for axis, limit in zip("xyz", most, strict=True):
+            found = [getattr(s, f"{axis}_m") for s in self.spheres.values()]
+            if np.ptp(found) > limit:
+                raise InputError(
+                    f"spheres: their {axis}_m lie up to {np.ptp(found):g} m "
+                    f"apart, too far for a sole of {length:g} x {width:g} x "
+                    f"{deep:g} m (size_m); correct them: x forward, y left, z "
+                    "up, in metres"
+                )
+        for name, sphere in self.spheres.items():
+            lowest = sphere.z_m - sphere.radius_m
+            if abs(lowest + deep) > _OFF_M:
+                raise InputError(
+                    f"spheres: {name} reaches down to {lowest:g} m (z_m - "
+                    f"radius_m), far off the bottom of its sole at {-deep:g} m "
+                    "(the last of size_m); correct them, in metres"
+                )
 
     @staticmethod
     def read(path: str | Path) -> "SoleLaw":
@@ -184,13 +217,20 @@ class SoleLaw:
                 on the floor of the standing trial.
 
         Raises:
-            InputError: toes are hinged.
+            InputError: toes are hinged, or the sole lies above the ankle.
         """
         self.check_worn(model.assembly.human)
         if at_m is None:
             x = [x for x, _ in model.spheres.values()]
             floor = -model.human.ankle_height_m
             at_m = 0.5 * (min(x) + max(x)), floor + self.size_m[2]
+        bottom = float(at_m[1] - self.size_m[2])
+        if bottom >= 0.0:
+            raise InputError(
+                f"foot_ground.sole_at_m: the bottom of the sole lies at z = "
+                f"{bottom:g} m in the foot, not below its ankle; give (x, z) "
+                "of the sole's frame from there, z upwards, in metres"
+            )
         soles = 1 if model.assembly.human.sides else 2
         spheres = {
             name: ContactSphere(

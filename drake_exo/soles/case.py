@@ -1,14 +1,14 @@
 """A case: a sole and the step that it takes, to simulate or optimise."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from drake_exo.errors import InputError, check_type, path_of
 from drake_exo.files import schema
-from drake_exo.soles.mesh import TetMesh, check_mesh
+from drake_exo.soles.mesh import TetMesh, check_frame, check_mesh
 from drake_exo.soles.optimize.design import Design
 from drake_exo.soles.optimize.files import Checkpoint, read_checkpoint
 from drake_exo.soles.optimize.search import in_own_walk, optimise
@@ -104,8 +104,7 @@ class Case(Setup):
             InputError: The load's ZMP leaves the sole, or its force leaves
                 the friction cone; or a mesh made in Python is not sound.
         """
-        self._check()
-        return Step.of(self, progress=progress)
+        return Step.of(self._checked(), progress=progress)
 
     def optimize(
         self,
@@ -129,8 +128,8 @@ class Case(Setup):
                 cannot be carried, as in `simulate`; or a walk is sought and
                 the load is not its own.
         """
-        self._check()
-        self._check_walk()
+        case = self._checked()
+        case._check_walk()
         if not isinstance(resume, Checkpoint | None):
             resume = read_checkpoint(path_of(resume, "resume"))
         if resume is not None and resume.case not in ("", self.name):
@@ -139,7 +138,7 @@ class Case(Setup):
                 f"this one is {self.name!r}; give the case that was begun"
             )
         # The search for a walk begins as that of the sole alone: its key, too.
-        keys = "", self.key, in_own_walk(self).key
+        keys = "", case.key, in_own_walk(case).key
         if resume is not None and resume.key not in keys:
             raise InputError(
                 "resume: the checkpoint is of other settings, another mesh or "
@@ -147,13 +146,18 @@ class Case(Setup):
             )
         folder = None if folder is None else path_of(folder, "folder")
         say = say or (lambda text: None)
-        return optimise(self, folder, say, resume, at_once)
+        return optimise(case, folder, say, resume, at_once)
 
-    def _check(self) -> None:
-        """Refuse what a case made in Python may hold, and a file may not."""
+    def _checked(self) -> "Case":
+        """The case, with moments that friction bears as in a file's loads.
+
+        Refuses what a case made in Python may hold, and a file may not.
+        """
         check_type(self.mesh, TetMesh, "mesh")
         check_mesh(self.mesh, "mesh")
+        check_frame(self.mesh, "mesh")
         self.check_load()
+        return replace(self, load=self.bearable_load)
 
     def _check_walk(self) -> None:
         """Refuse a load that is not of the walk that is sought with it."""

@@ -279,6 +279,12 @@ class Prediction:
         if rows.shape[1] < 2:
             raise InputError(f"{path}: holds one row; give a whole prediction")
         step = np.median(np.diff(rows[0]))
+        if np.ptp(rows[0]) > MOST_SAMPLES * step:
+            raise InputError(
+                f"{path}: most rows are {step:g} s apart over "
+                f"{np.ptp(rows[0]):g} s, more than {MOST_SAMPLES} samples; "
+                "correct its times"
+            )
         even = np.arange(rows[0, 0], rows[0, -1] + 0.5 * step, step)
         t, fx, fz, x = (np.interp(even, rows[0], row) for row in rows)
         keep = _loaded(

@@ -160,7 +160,9 @@ class Load:
                 f"{self.force[first, 2]:g} N at {self.times[first]:g} s; it "
                 "must be above 0 at every sample, so "
                 + (
-                    "turn all signs: forces are those of the ground on the sole"
+                    "turn all signs: forces are those of the ground on the "
+                    "sole; or, where z points down, those of force y and z and "
+                    "of zmp y alone: y is left, z up"
                     if np.median(self.force[:, 2]) < 0.0
                     else "leave the swing phase out, and give each contact "
                     "a load of its own"
@@ -442,6 +444,11 @@ def read_csv(path) -> Load:
             )
     t, fx, fy, fz, zx, zy = (table[name] for name in CSV_COLUMNS)
     begins, weights = np.zeros(1, int), np.ones(1)
+    if "weight" in table and "load" not in table:
+        raise InputError(
+            f"{path}:1: column 'weight' is of several loads and would not be "
+            "used; number them in a column 'load', or rename it"
+        )
     if "load" in table:
         number, weight = table["load"], table.get("weight", np.ones(len(t)))
         counts = np.isin(np.diff(number), (0, 1)).all()

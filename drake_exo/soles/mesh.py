@@ -37,6 +37,7 @@ _MOST_TETS = 1_000_000  # 20 GB of memory
 _RECTANGLE = 0.99  # least part of its bounding box that a rectangle fills
 _UNFELT = 1e-17  # shares below this part of the largest are left out
 _LEAST_TOP = 0.3  # least part of the area seen from above that is a flat top
+_AT_FRAME = 1e-6  # metres: an underside this near is at the frame's origin
 
 
 @dataclass(frozen=True, eq=False)
@@ -565,6 +566,21 @@ def check_mesh(mesh: TetMesh, name: str) -> None:
             f"{name}: the nodes of faces that look downwards lie in a line; "
             "give a sole that has an underside, free of nodes glued to the "
             "foot"
+        )
+
+
+def check_frame(mesh: TetMesh, name) -> None:
+    """Refuse a frame whose origin is not above the sole, or far off it.
+
+    Raises:
+        InputError: Says where the underside lies in the frame.
+    """
+    z = float(mesh.nodes[mesh.contact, 2].min())
+    if not -_LARGEST_LENGTH < z < -_AT_FRAME:
+        raise InputError(
+            f"{name}: the underside of the sole lies at z = {z:g} m in its "
+            "frame, whose origin belongs in its top; give mesh.origin_m there, "
+            "in metres, or put the frame's origin there in the file"
         )
 
 

@@ -30,6 +30,8 @@ from drake_exo.soles.mesh import (
     SphericalSpline,
     TetMesh,
     brick,
+    check_frame,
+    check_turned,
     halved,
     read_mesh,
 )
@@ -49,6 +51,9 @@ class Brick:
 
     size_m: Vector3 = quantity("m", minimum=1e-3)
     divisions: tuple[int, int, int] = quantity(None, minimum=1)
+
+    def __post_init__(self):
+        check_turned(np.array([(0.0, 0.0, 0.0), self.size_m]), "size_m")
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,9 @@ class MaterialBlock:
         "Pa", None, minimum=1e3, maximum=1e12
     )
     poissons_ratio: float | None = None
-    density_kg_per_m3: float | None = quantity("kg/m³", None, minimum=10.0)
+    density_kg_per_m3: float | None = quantity(
+        "kg/m³", None, minimum=10.0, maximum=3e4
+    )
 
     def material(self) -> Material:
         """The material with its numbers filled in."""
@@ -165,7 +172,7 @@ class Stage:
     samples: int | None = quantity(None, None, minimum=1)
     layer_m: float = quantity("m", 1e-5, above=0.0, maximum=0.01)
     kappa: float = quantity("", 0.1, minimum=0.0, maximum=1.0)
-    iterations: int = quantity(None, 40, minimum=0)
+    iterations: int = quantity(None, 40, minimum=0, maximum=1_000_000)
     roughness: float = not_negative("", 1.0)
 
 
@@ -362,9 +369,12 @@ class Settings:
         if replacement is not None and origin is not None:
             origin = (0.0, 0.0, 0.0)  # as sole.vtk, in the sole's frame
         if path.suffix.lower() not in SUFFIXES:
-            return read_mesh(path, origin)
-        surface = read_surface(path, block.unit)
-        return sole_from_surface(surface, block.tets, block.top_m, origin)
+            mesh = read_mesh(path, origin)
+        else:
+            surface = read_surface(path, block.unit)
+            mesh = sole_from_surface(surface, block.tets, block.top_m, origin)
+        check_frame(mesh, path)
+        return mesh
 
     def start_pose(self, mesh: TetMesh, ground: Ground = FLAT) -> Start:
         """How the sole is held until contact.
@@ -453,9 +463,9 @@ class Setup:
         if load.rotation is not None:
             turned = load.rotation @ rotation_z(self.start.yaw)
             load = replace(load, rotation=turned)
-        replace(self, load=load).check_load()
-        width = float(np.ptp(self.mesh.nodes[:, :2], axis=0).min())
-        return load.bearable(self.settings.contact.friction, width, self.up)
+        setup = replace(self, load=load)
+        setup.check_load()
+        return setup.bearable_load
 
     def check_load(self) -> None:
         """Refuse a load that no pose of the sole can carry.
@@ -472,6 +482,15 @@ class Setup:
         # Stress over strain where no side can bulge.
         stiff = material.lame_lambda + 2 * material.shear_modulus
         self.load.check_pressed(stiff * area)
+
+    @property
+    def bearable_load(self) -> Load:
+        """The load with free moments that friction bears, cut once."""
+        if self.load.moment_cut is not None:
+            return self.load
+        width = float(np.ptp(self.mesh.nodes[:, :2], axis=0).min())
+        friction = self.settings.contact.friction
+        return self.load.bearable(friction, width, self.up)
 
     @property
     def gait(self) -> Gait | None:

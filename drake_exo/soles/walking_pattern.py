@@ -363,7 +363,8 @@ def _held(H, r, rows, at) -> np.ndarray:
     if left < _LEFT:
         raise InputError(
             "pattern: no ZMP inside its bounds carries this step; widen "
-            "back_m to front_m and outer_m to inner_m, or slow the step"
+            "back_m to front_m and outer_m to inner_m, slow the step, or "
+            "lengthen double_support_s"
         )
     return multipliers > 0
 

@@ -222,6 +222,41 @@ def test_a_law_in_other_units_is_refused(sphere, size, words):
         schema.load_text(f"size_m: [{size}]\n{spheres}", SoleLaw)
 
 
+@pytest.mark.parametrize(
+    ("heel", "more", "words"),
+    [
+        ("x_m: -1.0", "", r"their x_m lie up to 1\.1 m apart"),
+        ("y_m: 0.3", "", r"their y_m lie up to 0\.3 m apart"),
+        ("z_m: -0.1", "", r"their z_m lie up to 0\.11 m apart"),
+        ("radius_m: 0.32", "", r"heel reaches down to -0\.32 m"),
+        ("z_m: 0.01", "constants: {static_friction: 0.3}", "give both, the"),
+    ],
+)
+def test_a_law_edited_by_hand(heel, more, words):
+    """Half a metre up, x and z exchanged, one friction of two."""
+    spheres = (
+        f"heel: {{modulus_n_m2: 2.0e7, {heel}}}, "
+        "toe: {modulus_n_m2: 2.0e7, x_m: 0.1, z_m: 0.01}"
+    )
+    text = f"size_m: [0.26, 0.1, 0.022]\nspheres: {{{spheres}}}\n{more}"
+    with pytest.raises(InputError, match=words):
+        schema.load_text(text, SoleLaw)
+    # What all of them share: the sole's depth ten times too large.
+    deep = text.replace(heel, "z_m: 0.01").removesuffix(more)
+    schema.load_text(deep, SoleLaw)
+    with pytest.raises(InputError, match=r"off the bottom of its sole at -0.3"):
+        schema.load_text(deep.replace("0.022", "0.3"), SoleLaw)
+
+
+@pytest.mark.parametrize("at", [(0.05, 0.04), (-0.04, 0.05)])
+def test_a_sole_above_the_ankle_is_refused(at):
+    """Its z without a sign, or exchanged with x: a fit hid it in the floor."""
+    model = Model(Assembly(Person("one")), nominal_human())
+    with pytest.raises(InputError, match=r"sole_at_m: the bottom .* at z = 0"):
+        _law().ground(model, at)
+    _law().ground(model, (0.05, -0.04))
+
+
 @pytest.mark.parametrize("legs", ["one", "two"])
 def test_feet_press_as_the_soles_do(legs):
     """A diagram's ground reaction, level and 1.2 mm deep, against one sole's.

@@ -223,7 +223,7 @@ def test_a_zmp_outside_is_told_by_how_much():
             [5, -3, 0.5],
             "is -3 N at 1 s.*leave the swing phase out, and",
         ),
-        ([0, 1, 2], [-1, -3, 2], "turn all signs"),
+        ([0, 1, 2], [-1, -3, 2], "turn all signs: .* or, where z points down"),
         ([0, 1, np.nan], [1, 1, 1], "times holds NaN"),
         ([], [], "no samples"),
         (range(100_001), [1] * 100_001, "100001 samples, more than 100000"),

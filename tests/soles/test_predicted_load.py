@@ -72,6 +72,9 @@ def test_a_grid_that_is_finer_in_places_is_sampled_evenly(folder):
     up = 600 + 100 * np.sin(4 * load.times)
     np.testing.assert_allclose(load.force[:30, 2], 0.5 * up[:30], rtol=1e-6)
     path = folder / "rise_ground_reaction.sto"
+    write_rise(folder, np.array([*(1e-6 * t), 9.0]))  # one time is damaged
+    with pytest.raises(InputError, match="s apart over 9 s, more than"):
+        _read(folder, path.name)
     head = path.read_text().splitlines()
     rows = head.index("endheader") + 3
     text = "\n".join(x for x in head[:rows] if "nRows" not in x)

@@ -22,10 +22,13 @@ from drake_exo.soles.mesh import brick, read_mesh
 from drake_exo.soles.optimize import search
 from drake_exo.soles.optimize.problem import ShapeProblem
 from drake_exo.soles.settings import (
+    Brick,
     ContactBlock,
+    MaterialBlock,
     MeshBlock,
     OptimizeBlock,
     ShapeBlock,
+    Stage,
     StartBlock,
 )
 from drake_exo.soles.walking_pattern import Robot
@@ -49,6 +52,7 @@ def case(tmp_path):
         ("Free_Moment_Nm", "1", "name it free_moment_nm, in N·m"),
         ("Load", "0 1", "'Load' would not be read; name it load$"),
         ("load,WEIGHT", "0,1 1,2", "'WEIGHT' would not be read; name it"),
+        ("weight", "1 2", "'weight' is of several loads and would not be"),
         ("load,weight", "1,1 0,1", "'load' has to count from 0 on"),
         ("load,weight", "0,1 1,1 0,1", "'load' has to count from 0 on"),
         ("load,weight", "0,1 1,0", "'weight' has to be above 0"),
@@ -109,6 +113,20 @@ def test_a_load_given_in_python_is_checked_as_a_file_s(changed, words):
             run()
 
 
+def test_free_moments_given_in_python_are_cut_as_a_file_s():
+    case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    most = (0.8 * 400 - 10) * 0.13 / 4
+    load = replace(case.load, free_moment=[50.0, 1.0, 0.0, -1.0, -50.0])
+    step = replace(case, load=load).simulate()
+    found = step.setup.load
+    assert found.free_moment == pytest.approx([most, 1, 0, -1, -most])
+    assert (found.moments_cut, step.failed_steps) == (2, 0)
+    # Once: of a design those stay that its initial shape's width bears.
+    kept = replace(found, free_moment=1.1 * found.free_moment)
+    again = replace(case, load=kept).bearable_load
+    assert again is kept and again.moments_cut == 2
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -149,6 +167,17 @@ def test_parts_of_another_type_in_python():
     for floors in (0.9, [float("nan")]):
         with pytest.raises(InputError, match=r"floors are .* give a list"):
             dx.soles.pareto_front(case, floors)
+
+
+def test_a_smoothed_law_that_is_too_thick_for_a_stiff_sole(monkeypatch):
+    """Of 1 GPa, say: the case itself is simulated by the exact law."""
+    monkeypatch.setattr(ShapeProblem, "evaluate", lambda *given: None)
+    case = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    words = (
+        "simulate the case, .*; if it holds, give optimize.stages a smaller l"
+    )
+    with pytest.raises(InputError, match=words):
+        case.optimize()
 
 
 @pytest.mark.slow
@@ -204,6 +233,9 @@ def test_lengths_and_keys_of_a_case():
         InputError, match=r"unit is for a file, not for a brick"
     ):
         MeshBlock(brick=object(), unit="mm")
+    text = "size_m: [0.13, 0.23, 0.03]\ndivisions: [3, 4, 2]"
+    with pytest.raises(InputError, match=r":1: size_m: .* 130 x 230 x 30 mm"):
+        schema.load_text(text, Brick)
     made = dx.soles.Case.from_text(dx.soles.EXAMPLE)
     start = replace(made.settings.start, point_in_sole_m=(-115.0, 0.0, -30.0))
     off = replace(made.settings, start=start)
@@ -224,6 +256,8 @@ def test_lengths_and_keys_of_a_case():
             ("gravity_m_per_s2: 9810", Robot),
             ("intervals: [10, 1_000]", OptimizeBlock),
             ("starts: 1000000", OptimizeBlock),
+            ("iterations: 3000000000", Stage),
+            ("name: neoprene\ndensity_kg_per_m3: 1.23e6", MaterialBlock),
             ("point_in_world_m: [115, 0]", StartBlock),
         ),
         "least": (
@@ -267,6 +301,25 @@ def test_a_frame_below_the_top(tmp_path, above):
         return
     with pytest.raises(InputError, match=r"20\.0 mm above its frame"):
         found.optimize()
+
+
+@pytest.mark.parametrize("z", [-0.03, -0.05, 30.0])
+def test_a_frame_at_the_underside_or_far_off(tmp_path, z):
+    """Laid flat, a sole would stand on its frame's origin."""
+    made = dx.soles.Case.from_text(dx.soles.EXAMPLE)
+    mesh = made.mesh
+    cells = [("tetra", mesh.tets)]
+    meshio.Mesh(mesh.nodes, cells).write(tmp_path / "sole.vtk")
+    block = MeshBlock("sole.vtk", origin_m=(0.0, 0.0, z))
+    words = rf"z = {-0.03 - z:g} m in its frame.* give mesh\.origin_m"
+    with pytest.raises(InputError, match=f"sole.vtk: .*{words}"):
+        replace(made.settings, mesh=block).read_mesh(tmp_path)
+    there = mesh.with_nodes(mesh.nodes - [0.0, 0.0, z])
+    with pytest.raises(InputError, match=f"mesh: .*{words}"):
+        replace(made, mesh=there).simulate()
+    # A frame in the ankle is not far off.
+    block = replace(block, origin_m=(0.0, 0.0, 0.1))
+    replace(made.settings, mesh=block).read_mesh(tmp_path)
 
 
 def test_a_footbed_below_its_rim_keeps_its_frame(tmp_path):

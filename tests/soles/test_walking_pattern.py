@@ -222,6 +222,11 @@ def test_bounds_that_hold_the_zmp_are_met(weight):
 def test_a_walk_that_no_zmp_carries_is_refused():
     with pytest.raises(InputError, match="widen back_m to front_m"):
         plan(replace(ROBOT, double_support_s=0.05, front_m=0.02))
+    # A slow step asks for the ZMP to change feet as slowly, not more slowly.
+    slow = replace(ROBOT, step_time_s=10.0)
+    with pytest.raises(InputError, match="or lengthen double_support_s"):
+        plan(slow)
+    plan(replace(slow, double_support_s=0.5))
 
 
 def test_bounds_are_15_mm_inside_the_sole():

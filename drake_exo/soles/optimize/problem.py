@@ -102,7 +102,9 @@ class ShapeProblem:
         if self.first is None:
             raise InputError(
                 "the initial shape cannot be simulated; simulate the case, "
-                "which tells why, and change its load, material or mesh"
+                "which tells why, and change its load, material or mesh; if "
+                "it holds, give optimize.stages a smaller layer_m (sole front "
+                "keeps its own)"
             )
         self.scales = np.abs(self._costs(self.first))
         self.limited = active_limits(
