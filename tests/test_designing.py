@@ -773,6 +773,7 @@ def test_what_is_asked_in_python_is_checked(study):
     [
         ("order: 2", "order is 2, but must be at least 4"),
         ("order: 200", "order is 200, but must be at most 100"),
+        ("draws: 100000", "draws is 100000, but must be at most 1000"),
         (
             "cuffs: {thigh: {along_m: [0.1, 0.2]}}",
             "must include its value today",

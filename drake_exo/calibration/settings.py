@@ -1008,7 +1008,8 @@ class DesignSettings:
     own_angle_deg: float = positive("deg", 0.02)
     effort_nm: float = positive("N m", 2000.0)
     jerk: float | None = positive("rad/s^3", None)
-    draws: int = quantity(None, 0, minimum=0)
+    # All wearers are in one program; no computer holds more.
+    draws: int = quantity(None, 0, minimum=0, maximum=1000)
     seed: int = quantity(None, 0, minimum=0)
     population: Population | None = None
     cuffs: dict[str, CuffFreedom] = field(default_factory=dict)
