@@ -46,8 +46,10 @@ from drake_exo.model.osim_person import OsimPerson, read_person
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import (
     CONTACT_RADIUS_M,
+    CUFFED,
     LEG_JOINTS,
     SEGMENTS,
+    HumanOverrides,
     HumanParameters,
     SegmentParameters,
     scale_human,
@@ -153,6 +155,7 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
         else _as_modelled(person.human, mass, markers, poses)
     )
     human = with_overrides(human, settings.subject.segments, "subject.segments")
+    _check_centres(settings.subject.segments, human)
     model = _with_device(settings, human)
     if settings.device is not None:
         settings.device.check(model.coordinates)
@@ -402,6 +405,24 @@ def _raised(human: HumanParameters, ankle_height: float) -> HumanParameters:
             human.foot, com_m=(human.foot.com_m[0], ratio * human.foot.com_m[1])
         ),
     )
+
+
+def _check_centres(given: HumanOverrides, human: HumanParameters) -> None:
+    """Refuse a given centre of mass that is not in its segment.
+
+    That of a limb or trunk lies between its ends, near the line of its joints.
+    """
+    for name in CUFFED:
+        if getattr(given, name).com_m is None:
+            continue
+        x, z = getattr(human, name).com_m
+        length = getattr(human, name).length_m
+        if not (abs(x) <= 0.25 * length and 0.0 <= z <= length):
+            raise InputError(
+                f"subject.segments.{name}.com_m is [{x:g}, {z:g}], which is "
+                f"not in the {name}, {length:.3g} m long; give [x, z] in m, x "
+                "forward and z up from its lower joint"
+            )
 
 
 def _check_height(source: str, ankle_height: float) -> None:

@@ -14,8 +14,12 @@ from drake_exo.model.description import nominal_exoskeleton, nominal_human
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import (
     CONTACT_RADIUS_M,
+    CUFFED,
     SEGMENTS,
+    HumanOverrides,
+    SegmentOverrides,
     SegmentParameters,
+    with_overrides,
 )
 
 HUMAN = nominal_human()
@@ -51,6 +55,18 @@ def test_a_modelled_person_has_its_mass_and_soles_on_the_floor():
         stands = complex(*getattr(found, key)) * np.exp(0.07j)
         assert 0.09 + stands.imag == pytest.approx(CONTACT_RADIUS_M)
         assert stands.real == pytest.approx(getattr(human, key)[0])
+
+
+@pytest.mark.parametrize("com", [(0.2, 0.0), (0.0, -0.24), (0.0, 1.2)])
+def test_a_centre_of_mass_off_its_segment_is_refused(com):
+    given = HumanOverrides(thigh=SegmentOverrides(com_m=com))
+    human = with_overrides(HUMAN, given, "subject.segments")
+    with pytest.raises(InputError, match=r"segments\.thigh\.com_m is .* 0\.4"):
+        subject._check_centres(given, human)
+    subject._check_centres(HumanOverrides(), human)
+    for name in CUFFED:
+        own = {name: SegmentOverrides(com_m=getattr(HUMAN, name).com_m)}
+        subject._check_centres(HumanOverrides(**own), HUMAN)
 
 
 def test_a_measured_ankle_raises_all_that_is_below_it():
