@@ -775,6 +775,8 @@ def test_in_python_nothing_is_solved_without_a_warning(folder, monkeypatch):
     for name in ("solve", "_prediction"):
         monkeypatch.setattr(f"drake_exo.study.{name}", lambda *_: None)
     monkeypatch.setattr("drake_exo.study.settle", lambda *_: (None, []))
+    # Nothing is solved: a calibration of nothing.
+    monkeypatch.setattr(dx.Calibration, "__post_init__", lambda self: None)
     monkeypatch.setattr("drake_exo.designing.movements", None)
 
     def design():

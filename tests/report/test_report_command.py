@@ -102,6 +102,7 @@ def test_what_is_predicted_uncalibrated_is_kept(trials, tmp_path, monkeypatch):
     usual = replace(trials[0], source="solved", moments=trials[0].moments + 9.0)
     names = ("rmsd", "rmsd_uncalibrated", "solves", "design", "controller")
     summary = dict.fromkeys(names, ()) | {"measured_sd": {}, "starts_from": ""}
+    summary["settings"] = {"ends": "measured"}
     summary["rmsd"] = [{"trial": t.name, "angles_deg": 1.0} for t in trials[:2]]
     summary["rmsd_uncalibrated"] = [summary["rmsd"][0], None]
     shown = []
