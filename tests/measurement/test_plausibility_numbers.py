@@ -674,11 +674,22 @@ def test_feet_are_as_high_as_in_standing_while_they_bear():
     assert told(check, "floor") == [(0.025, 0.015, False)]
     assert "left foot are 25 mm higher than in standing" in check.sentence
     # A foot that rolls on its toes all the time is on the same floor.
-    feet[INSIDE, :, 2] = [0.09, 0.025]
-    assert list(plausibility._floor(e)) == []
+    for rolls in ([0.18, 0.037], [0.09, 0.025]):
+        feet[INSIDE, :, 2] = rolls
+        assert list(plausibility._floor(e)) == []
     feet[..., 2] += 0.03
     (check,) = plausibility._floor(e)
     assert told(check, "floor") == [(0.0525, 0.015, False)]
+    # A flat foot on another floor does not, though a marker is nearly as high.
+    for up in ([0.022, 0.014], [-0.03, -0.01]):
+        feet[INSIDE, :, 2] = np.array([0.05, 0.02]) + up
+        (check,) = plausibility._floor(e)
+        assert told(check, "floor") == [(abs(np.mean(up)), 0.015, False)]
+    # Nor is it one dip of a marker that makes it roll.
+    feet[INSIDE, :, 2] = np.array([0.05, 0.02]) + 0.05
+    feet[INSIDE.start, 1, 2] -= 0.04
+    (check,) = plausibility._floor(e)
+    assert told(check, "floor") == [(0.05, 0.015, False)]
     # Where nothing is borne, a foot may be anywhere.
     assert list(plausibility._floor(known(e, plates={"left": 0 * bears}))) == []
 
