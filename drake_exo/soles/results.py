@@ -326,9 +326,11 @@ class Step:
     def angles(self) -> np.ndarray:
         """Roll, pitch and yaw of R = Rx·Ry·Rz [rad], (N, 3).
 
-        They do not leap by a turn between samples.
+        They do not leap by a turn between samples of one contact.
         """
-        return np.unwrap(angles_xyz(self.history.R), axis=0)
+        begins = self.setup.load.begins[1:]
+        parts = np.split(angles_xyz(self.history.R), begins)
+        return np.concatenate([np.unwrap(x, axis=0) for x in parts])
 
     @property
     def tilt_deg(self) -> np.ndarray:

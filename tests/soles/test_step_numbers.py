@@ -53,9 +53,14 @@ def test_what_is_read_from_a_step_does_not_change_it(step):
 
 
 def test_a_yaw_near_half_a_turn_does_not_leap():
-    turned = np.deg2rad([[0, 0, 179.9], [0, 0, 180.2], [0, 0, 179.8]])
-    history = SimpleNamespace(R=rotations_xyz(turned))
-    found = Step.angles.fget(SimpleNamespace(history=history))
+    """In a contact; the next one is as it would be alone."""
+    yaw = [179.9, 180.2, 179.8, -179.0]
+    turned = np.deg2rad([[0.0, 0.0, angle] for angle in yaw])
+    step = SimpleNamespace(
+        history=SimpleNamespace(R=rotations_xyz(turned)),
+        setup=SimpleNamespace(load=SimpleNamespace(begins=(0, 3))),
+    )
+    found = Step.angles.fget(step)
     np.testing.assert_allclose(found, turned, atol=1e-12)
 
 
