@@ -15,7 +15,12 @@ from drake_exo.contact.bushing import (
     TANGENTIAL,
     BushingParameters,
 )
-from drake_exo.contact.hunt_crossley import LAWS, Constants, paper_stiffness
+from drake_exo.contact.hunt_crossley import (
+    LAWS,
+    Constants,
+    check_slides,
+    paper_stiffness,
+)
 from drake_exo.contact.parameters import (
     STIFFNESS_UNIT,
     ContactModel,
@@ -367,13 +372,7 @@ class FootGroundSettings:
                 )
             check_bounds(f"foot_ground.constants.{name}", value, known[name])
         found = law(**self.constants)
-        if found.dynamic_friction > found.static_friction:
-            raise InputError(
-                f"foot_ground.constants: dynamic_friction "
-                f"{found.dynamic_friction:g} is above static_friction "
-                f"{found.static_friction:g}; give both, the dynamic one no "
-                "higher"
-            )
+        check_slides(found, "foot_ground.constants")
         return found
 
     def of(self, sphere: str) -> SphereSettings:

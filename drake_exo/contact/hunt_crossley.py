@@ -315,6 +315,20 @@ def checked_constants(law: Law, constants: Constants | None) -> Constants:
     return constants
 
 
+def check_slides(constants: Constants, what: str) -> None:
+    """Refuse constants, named `what`, that slide harder than they stick.
+
+    Raises:
+        InputError: dynamic friction is above static friction.
+    """
+    if constants.dynamic_friction > constants.static_friction:
+        raise InputError(
+            f"{what}: dynamic_friction {constants.dynamic_friction:g} is above "
+            f"static_friction {constants.static_friction:g}; give both, the "
+            "dynamic one no higher"
+        )
+
+
 def contact_arm(law: Law, indentation, radius):
     """Height of the sphere's centre above the point where force acts [m].
 

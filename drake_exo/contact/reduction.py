@@ -14,7 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from drake_exo.contact.hunt_crossley import SimbodyConstants, sphere_force
+from drake_exo.contact.hunt_crossley import (
+    SimbodyConstants,
+    check_slides,
+    sphere_force,
+)
 from drake_exo.contact.parameters import (
     NOMINAL_DISSIPATION,
     ContactSphere,
@@ -140,13 +144,7 @@ class SoleLaw:
             if "." in name or not name.strip():
                 raise InputError(f"spheres: {name!r} is not a name; rename it")
         self._check_places()
-        found = self.constants
-        if found.dynamic_friction > found.static_friction:
-            raise InputError(
-                f"constants: dynamic_friction {found.dynamic_friction:g} is "
-                f"above static_friction {found.static_friction:g}; give both, "
-                "the dynamic one no higher"
-            )
+        check_slides(self.constants, "constants")
 
     def _check_places(self) -> None:
         """Refuse spheres that cannot lie at the bottom of such a sole."""
