@@ -39,6 +39,7 @@ _LOWER_N_M2, _UPPER_N_M2 = 1e4, 1e10  # bounds of the modulus
 # What no law of a sole reaches: its spheres' extent over the sole's, how far
 # they are from one height, and from the sole's bottom [m].
 _SPREAD, _UNEVEN_M, _OFF_M = 1.5, 0.1, 0.2
+_LOWEST = "z_m - radius_m"
 _SD = 1.96  # standard deviations in the half-width of a 95 % interval
 
 
@@ -149,23 +150,27 @@ class SoleLaw:
     def _check_places(self) -> None:
         """Refuse spheres that cannot lie at the bottom of such a sole."""
         length, width, deep = self.size_m
+        spheres = self.spheres.values()
+        places = {
+            "x_m": [s.x_m for s in spheres],
+            "y_m": [s.y_m for s in spheres],
+            _LOWEST: [s.z_m - s.radius_m for s in spheres],
+        }
+        for name, lowest in zip(self.spheres, places[_LOWEST], strict=True):
+            if abs(lowest + deep) > _OFF_M:
+                raise InputError(
+                    f"spheres: {name} reaches down to {lowest:g} m ({_LOWEST}"
+                    f"), far off the bottom of its sole at {-deep:g} m (the "
+                    "last of size_m); correct them, in metres"
+                )
         most = _SPREAD * length, _SPREAD * width, _UNEVEN_M
-        for axis, limit in zip("xyz", most, strict=True):
-            found = [getattr(s, f"{axis}_m") for s in self.spheres.values()]
+        for (axis, found), limit in zip(places.items(), most, strict=True):
             if np.ptp(found) > limit:
                 raise InputError(
-                    f"spheres: their {axis}_m lie up to {np.ptp(found):g} m "
+                    f"spheres: their {axis} lie up to {np.ptp(found):g} m "
                     f"apart, too far for a sole of {length:g} x {width:g} x "
                     f"{deep:g} m (size_m); correct them: x forward, y left, z "
                     "up, in metres"
-                )
-        for name, sphere in self.spheres.items():
-            lowest = sphere.z_m - sphere.radius_m
-            if abs(lowest + deep) > _OFF_M:
-                raise InputError(
-                    f"spheres: {name} reaches down to {lowest:g} m (z_m - "
-                    f"radius_m), far off the bottom of its sole at {-deep:g} m "
-                    "(the last of size_m); correct them, in metres"
                 )
 
     @staticmethod

@@ -227,7 +227,7 @@ def test_a_law_in_other_units_is_refused(sphere, size, words):
     [
         ("x_m: -1.0", "", r"their x_m lie up to 1\.1 m apart"),
         ("y_m: 0.3", "", r"their y_m lie up to 0\.3 m apart"),
-        ("z_m: -0.1", "", r"their z_m lie up to 0\.11 m apart"),
+        ("z_m: -0.1", "", r"their z_m - radius_m lie up to 0\.11 m"),
         ("radius_m: 0.32", "", r"heel reaches down to -0\.32 m"),
         ("z_m: 0.01", "constants: {static_friction: 0.3}", "give both, the"),
     ],
@@ -241,6 +241,9 @@ def test_a_law_edited_by_hand(heel, more, words):
     text = f"size_m: [0.26, 0.1, 0.022]\nspheres: {{{spheres}}}\n{more}"
     with pytest.raises(InputError, match=words):
         schema.load_text(text, SoleLaw)
+    # A large sphere's centre is higher up than a small one's.
+    high = "z_m: 0.13, radius_m: 0.15"
+    schema.load_text(text.replace(heel, high).removesuffix(more), SoleLaw)
     # What all of them share: the sole's depth ten times too large.
     deep = text.replace(heel, "z_m: 0.01").removesuffix(more)
     schema.load_text(deep, SoleLaw)
