@@ -304,10 +304,15 @@ class Recordings:
         # Before the filter: on the belt, a standing foot's CoP is steady.
         forces = forces.on_belt(settings.ground.belt_speed_m_s)
         hold = laboratory.hold_cop_below_n
-        most = max(
-            w.force_z.max() for n, w in forces.wrenches.items() if n != "chair"
-        )
+        borne = [forces.wrenches[foot] for foot in forces.feet]
+        most = max(wrench.force_z.max() for wrench in borne)
         if hold > most:
+            check_loaded(
+                forces.source,
+                sum(borne[1:], borne[0]),
+                model.rigid.tree.weight,
+                "in the whole recording",
+            )
             raise InputError(
                 f"{files.forces}: laboratory.hold_cop_below_n is {hold:g}, but "
                 f"no foot bears more than {most:.0f} N, so that there is no "

@@ -734,6 +734,14 @@ def test_no_point_is_held_where_no_foot_ever_bears_enough(files):
     held = replace(study.laboratory, hold_cop_below_n=5e3)
     told = refusal(replace(study, laboratory=held), folder)
     assert "hold_cop_below_n is 5000, but no foot bears more than" in told
+    # Of forces in kN the unit is told.
+    edit_forces(
+        folder,
+        lambda t: replace(t, values=1e-3 * t.values),
+    )
+    held = replace(study.laboratory, hold_cop_below_n=50.0)
+    told = refusal(replace(study, laboratory=held), folder)
+    assert "(N, not kN)" in told and "hold_cop" not in told
 
 
 @pytest.mark.slow
