@@ -658,11 +658,16 @@ class TrialFiles:
                     f"{key} and {time} both say where the used part "
                     f"{'starts' if key == 'from' else 'ends'}; leave one out"
                 )
-        for what, time in (("rise", "start_s"), ("sit", "end_s")):
+        for what, key, given in (
+            ("rise", "start_s", self.start_s),
+            ("rise", "from", self.begin),
+            ("sit", "end_s", self.end_s),
+            ("sit", "to", self.end),
+        ):
             seated = self.seated_s > 0.0 and getattr(self, what) is not None
-            if seated and getattr(self, time) is not None:
+            if seated and given is not None:
                 raise InputError(
-                    f"seated_s and {time} both say where the {what} "
+                    f"seated_s and {key} both say where the {what} "
                     f"{'starts' if what == 'rise' else 'ends'}; leave one out"
                 )
         mats = [name for file in self.pressure for name in file.mats]

@@ -394,6 +394,13 @@ def test_a_seated_start_needs_a_rise_and_a_chair():
     with pytest.raises(InputError, match="seated_s and end_s both say"):
         TrialFiles(plates=plates, sit=1, end_s=2.0, **common)
     TrialFiles(plates=plates, rise=1, end_s=2.0, **common)
+    for what, key in {"rise": "begin", "sit": "end"}.items():
+        with pytest.raises(InputError, match=f"where the {what} .*s; leave"):
+            TrialFiles(
+                plates=plates, **{what: 1, key: "toe_off left 1"}, **common
+            )
+    # From a chair into a walk.
+    TrialFiles(plates=plates, rise=1, end="toe_off left 1", **common)
     with pytest.raises(InputError, match="under the chair and a foot"):
         Plates(left=1, right=2, chair=2)
 
