@@ -584,7 +584,8 @@ def read_design(folder: str | Path) -> Design:
     path = path_of(folder, "folder")
     path = path / DESIGN if path.is_dir() else path
     found = schema.load(path, Design)
-    if not read_bytes(path).strip():
+    lines = map(bytes.strip, read_bytes(path).splitlines())
+    if all(line.startswith((b"#", b"---")) for line in lines if line):
         raise InputError(
             f"{path}: is empty; write the design again, or 'cuffs: {{}}' for "
             "one that changes nothing"

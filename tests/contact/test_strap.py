@@ -145,6 +145,7 @@ def test_files_hold_designs(tmp_path):
         ("cuffs: {thigh: {strap_normal_n_m: 10}}", "at least 1000 N/m"),
         ("cuffs: {thigh: {along: 0.1}}", "did you mean 'along_m'"),
         ("\n", "design.yaml: is empty; write the design again"),
+        ("# What is to be built\n\n", "design.yaml: is empty; write"),
         (
             "assistance: {exo_knee: {angle_deg: [9, 3], factor: [1, 1]}}",
             "angle_deg does not increase",
