@@ -666,4 +666,8 @@ def _columns(found: dict[str, dict]) -> dict[str, list]:
         for name, sole in found.items()
         for row in sole["samples"]
     ]
-    return {key: [row[key] for row in rows] for key in rows[0]}
+    # Rows that are read from JSON have the alphabet's order.
+    figures = [f"{figure}_{kind}" for kind in _KINDS for figure in _FIGURES]
+    order = ["sole", "sample", "converged", "reached", *figures]
+    keys = sorted(rows[0], key=order.index)
+    return {key: [row[key] for row in rows] for key in keys}

@@ -278,3 +278,15 @@ def test_a_table_without_rows_is_read(tmp_path):
     assert {k: len(v) for k, v in columns.items()} == {"stage": 0, "cost": 0}
     with pytest.raises(InputError, match="holds no data rows"):
         read_columns(*given)
+
+
+def test_columns_keep_their_order_when_read_again(study, tmp_path):
+    """JSON has keys in the order of the alphabet."""
+    row = json.loads((study / "small" / "summary.json").read_text())
+    found = {"small": row["finite_strain"]}
+    assert min(found["small"]["samples"][0]) == "converged"
+    finite_strain.write_table(tmp_path, found)
+    with open(tmp_path / finite_strain.TABLE, newline="") as file:
+        names = next(csv.reader(file))
+    assert names[:4] == ["sole", "sample", "converged", "reached"]
+    assert set(names) == {"sole", *found["small"]["samples"][0]}
