@@ -275,7 +275,13 @@ def read_markers(
             or too slow for the filter.
     """
     path, osim = root / file, settings.assembly.human.osim
-    if osim is not None and path.suffix.lower() in (".mot", ".sto"):
+    if path.suffix.lower() in (".mot", ".sto"):
+        if osim is None:
+            raise InputError(
+                f"{path}: is not a marker file that can be read; give one of "
+                f"{', '.join(_MARKER_READERS)}, or name the OpenSim model "
+                "whose coordinates it holds (model.human.osim)"
+            )
         data = read_osim(root / osim).markers_along(read_table(path))
     else:
         read = _MARKER_READERS[kind_of(path, _MARKER_READERS, "a marker file")]

@@ -618,6 +618,7 @@ def test_refuses_files_of_another_kind(files):
     odd = replace(study.trials[0], markers=Path("sts.mot"))
     message = refusal(replace(study, trials=(odd,)), folder)
     assert "is not a marker file that can be read; give one of .trc" in message
+    assert "whose coordinates it holds (model.human.osim)" in message
 
 
 def test_refuses_a_rise_that_is_not_there(files):

@@ -284,7 +284,6 @@ def test_columns_keep_their_order_when_read_again(study, tmp_path):
     """JSON has keys in the order of the alphabet."""
     row = json.loads((study / "small" / "summary.json").read_text())
     found = {"small": row["finite_strain"]}
-    assert min(found["small"]["samples"][0]) == "converged"
     finite_strain.write_table(tmp_path, found)
     with open(tmp_path / finite_strain.TABLE, newline="") as file:
         names = next(csv.reader(file))
