@@ -219,28 +219,27 @@ class OsimModel:
                 or times are uneven.
         """
         turning = {a.coordinate for j in self.joints for a in j.turns}
-        short = {
-            n: n.removesuffix("/value").rpartition("/")[2] for n in table.names
-        }
         named = {
-            last: name
-            for name, last in short.items()
+            name.removesuffix("/value").rpartition("/")[2]: name
+            for name in table.names
             if not name.endswith("/speed")
         }
-        table = table.in_radians([n for c, n in named.items() if c in turning])
-        q = {name: table.column(of) for name, of in named.items()}
-        for coupler in self.couplers:  # inverse kinematics may leave them out
-            if coupler.independent in q:
-                at = q[coupler.independent]
-                q.setdefault(coupler.dependent, coupler.function(at, 0))
+        # Inverse kinematics may leave out what follows another coordinate.
+        couplers = [c for c in self.couplers if c.independent in named]
+        coupled = {coupler.dependent for coupler in couplers}
         for joint in self.joints:
             for name in joint.coordinates:
-                if name not in q:
+                if name not in named and name not in coupled:
                     raise InputError(
                         f"{table.source}: has no column for coordinate "
                         f"{name!r} of {self.source}; give markers, or what "
                         "inverse kinematics found with that model"
                     )
+        table = table.in_radians([n for c, n in named.items() if c in turning])
+        q = {name: table.column(of) for name, of in named.items()}
+        for coupler in couplers:
+            at = q[coupler.independent]
+            q.setdefault(coupler.dependent, coupler.function(at, 0))
         time = uniform_time(table.source, table.time)
         poses = self.poses(q, len(time))
         paths = [

@@ -330,6 +330,7 @@ def test_coordinates_of_a_file_move_markers(tmp_path, states):
         np.testing.assert_allclose(
             found.of([name])[:, 0], p + R @ place, atol=1e-12
         )
-    lacking = Table(time, ("pelvis_tilt",), np.zeros((5, 1)), True, "ik.mot")
+    # As plates, whose header says nothing of angles.
+    lacking = Table(time, ("pelvis_tilt",), np.zeros((5, 1)), None, "ik.mot")
     with pytest.raises(InputError, match=r"ik\.mot: has no column for coord"):
         model.markers_along(lacking)
