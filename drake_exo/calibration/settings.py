@@ -30,9 +30,9 @@ from drake_exo.contact.parameters import (
     check_range,
 )
 from drake_exo.contact.strap import (
+    OF_TODAY,
     PLACES,
     RELEASES,
-    SHARE,
     SHIFT,
     SOFTEST_N_M,
     SOFTEST_NM_RAD,
@@ -752,7 +752,7 @@ class CuffFreedom:
     )
     # All of a person's skin is 2 m^2.
     area_m2: float = quantity("m^2", 0.01, above=0.0, maximum=1.0)
-    area: tuple[float, float] = quantity("1", (1.0, 1.0), above=0.0, **SHARE)
+    area: tuple[float, float] = quantity("1", (1.0, 1.0), above=0.0, **OF_TODAY)
     slide: tuple[float, float] = field(default=(0.0, 0.0), metadata=_SHARE)
     hinge: tuple[float, float] = field(default=(0.0, 0.0), metadata=_SHARE)
     removable: bool = False
@@ -833,7 +833,7 @@ class DriveLimits:
 
 def _factor(default):
     """A limit as a share of today's value."""
-    return quantity("1", default, above=0.0, **SHARE)
+    return quantity("1", default, above=0.0, **OF_TODAY)
 
 
 @dataclass(frozen=True)
@@ -1015,7 +1015,7 @@ class DesignSettings:
     symmetric: bool = False
     joints: dict[str, JointFreedom] = field(default_factory=dict)
     assistance: tuple[float, float] = quantity(
-        None, (0.7, 1.3), above=0.0, **SHARE
+        None, (0.7, 1.3), above=0.0, **OF_TODAY
     )
     assistance_over: Literal["angle", "movement", "gains"] = "angle"
     gains: GainFreedom = GainFreedom()

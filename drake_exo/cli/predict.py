@@ -426,18 +426,18 @@ def _part(trial: Trial) -> str | None:
 
 def _source_of_torques(summary: dict, found: Trial) -> str:
     """A line on the device's torques, where it is not plain whose they are."""
-    unused = ""
-    if summary["design"]:
-        unused = ": the design's assistance and gains have no effect"
-    if summary["controller"]:
+    designed, controlled = summary["design"], summary["controller"]
+    if controlled:
         of = "the controller gives the device's torques"
-        return unused and f"\n{of}{unused}"
-    if summary["settings"]["ends"] == "periodic" and found.coordinates.device:
+    elif summary["settings"]["ends"] == "periodic" and found.coordinates.device:
         of = (
             "a step without data finds the device's torques as if it had drives"
         )
-        return f"\n{of}{unused}"
-    return ""
+    else:
+        return ""
+    if designed:
+        of += ": the design's assistance and gains have no effect"
+    return "" if controlled and not designed else f"\n{of}"
 
 
 def _write(

@@ -39,7 +39,7 @@ from drake_exo.model.planar_tree import DEVICE
 from drake_exo.model.plant import Model
 
 # Bound of a share of today's value; a larger one was given in per cent.
-SHARE = {"maximum": 50.0}
+OF_TODAY = {"maximum": 50.0}
 
 
 def gain_parts(today, angle, rate) -> tuple:
@@ -90,7 +90,7 @@ class Gains(_Linear):
     array([3.])
     """
 
-    support: float = quantity("1", 1.0, minimum=0.0, **SHARE)
+    support: float = quantity("1", 1.0, minimum=0.0, **OF_TODAY)
     constant_nm: float = quantity("N m", 0.0)
     stiffness_nm_rad: float = quantity("N m/rad", 0.0, minimum=0.0)
     damping_nm_s_rad: float = quantity("N m s/rad", 0.0, minimum=0.0)
@@ -127,7 +127,7 @@ class Assistance(_Linear):
     """
 
     angle_deg: tuple[float, ...] = quantity("deg", (0.0,))
-    factor: tuple[float, ...] = quantity(None, (1.0,), minimum=0.0, **SHARE)
+    factor: tuple[float, ...] = quantity(None, (1.0,), minimum=0.0, **OF_TODAY)
     over: Literal["angle", "movement"] = "angle"
 
     def __post_init__(self):
@@ -298,7 +298,7 @@ class CuffDesign:
     across_m: float = quantity("m", 0.0, **SHIFT)
     preload_along_m: float = quantity("m", 0.0, **SHIFT)
     preload_across_m: float = quantity("m", 0.0, **SHIFT)
-    area: float = quantity("1", 1.0, above=0.0, **SHARE)
+    area: float = quantity("1", 1.0, above=0.0, **OF_TODAY)
     slide: float = quantity("1", 0.0, minimum=0.0, maximum=1.0)
     hinge: float = quantity("1", 0.0, minimum=0.0, maximum=1.0)
     strap_tangential_n_m: float | None = quantity(
@@ -585,7 +585,7 @@ def read_design(folder: str | Path) -> Design:
     path = path / DESIGN if path.is_dir() else path
     found = schema.load(path, Design)
     lines = map(bytes.strip, read_bytes(path).splitlines())
-    if all(line.startswith((b"#", b"---")) for line in lines if line):
+    if all(line.startswith(b"#") for line in lines if line):
         raise InputError(
             f"{path}: is empty; write the design again, or 'cuffs: {{}}' for "
             "one that changes nothing"

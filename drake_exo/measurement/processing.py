@@ -304,20 +304,7 @@ class Recordings:
         # Before the filter: on the belt, a standing foot's CoP is steady.
         forces = forces.on_belt(settings.ground.belt_speed_m_s)
         hold = laboratory.hold_cop_below_n
-        borne = [forces.wrenches[foot] for foot in forces.feet]
-        most = max(wrench.force_z.max() for wrench in borne)
-        if hold > most:
-            check_loaded(
-                forces.source,
-                sum(borne[1:], borne[0]),
-                model.rigid.tree.weight,
-                "in the whole recording",
-            )
-            raise InputError(
-                f"{files.forces}: laboratory.hold_cop_below_n is {hold:g}, but "
-                f"no foot bears more than {most:.0f} N, so that there is no "
-                "centre of pressure to hold; lower it"
-            )
+        _check_hold(files, forces, hold, model.rigid.tree.weight)
         forces = forces.held(hold).filtered(low_pass_filter)
         feet = forces.at(time)
         chair = feet.pop("chair", None)
@@ -652,6 +639,24 @@ def _on_belt(markers: MarkerData, settings: RecordingSettings) -> MarkerData:
     return replace(markers, positions=moved)
 
 
+def _check_hold(
+    files: TrialFiles, forces: FootForces, hold_n: float, weight: float
+) -> None:
+    """Refuse to hold the CoP below a force that no foot ever bears."""
+    feet = list(forces.feet.values())
+    most = max(wrench.force_z.max() for wrench in feet)
+    if hold_n <= most:
+        return
+    # Plates that bear next to nothing have another cause, told first.
+    both, where = sum(feet[1:], feet[0]), "in the whole recording"
+    check_loaded(forces.source, both, weight, where)
+    raise InputError(
+        f"{files.forces}: laboratory.hold_cop_below_n is {hold_n:g}, but no "
+        f"foot bears more than {most:.0f} N, so that there is no centre of "
+        "pressure to hold; lower it"
+    )
+
+
 def needed_force(rigid: Model, motion: Motion) -> np.ndarray:
     """Vertical support force (N,) that the motion requires [N]."""
     Q = inverse_dynamics(
@@ -804,8 +809,10 @@ def _bounds(files: TrialFiles, recording: Recording):
         how = {"from": what, what: number, **vars(movement)}
         if files.seated_s > 0.0:
             how["seated_s"] = files.seated_s
-            start -= files.seated_s if what == "rise" else 0.0
-            end += files.seated_s if what == "sit" else 0.0
+            if what == "rise":
+                start -= files.seated_s
+            else:
+                end += files.seated_s
     if files.start_s is not None:
         start, how["start_s"] = files.start_s, files.start_s
     if files.end_s is not None:

@@ -45,6 +45,7 @@ from drake_exo.model.device_file import with_text
 from drake_exo.model.osim_person import OsimPerson, read_person
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import (
+    ANKLE,
     CONTACT_RADIUS_M,
     CUFFED,
     LEG_JOINTS,
@@ -426,7 +427,7 @@ def _check_centres(given: HumanOverrides, human: HumanParameters) -> None:
 
 
 def _check_height(source: str, ankle_height: float) -> None:
-    if not 0.02 < ankle_height < 0.3:
+    if not ANKLE["minimum"] < ankle_height < ANKLE["maximum"]:
         raise InputError(
             f"{source}: the ankles are {ankle_height:.3f} m above the floor in "
             "standing; check markers.joint_centres.ankle and that the "

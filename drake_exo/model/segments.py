@@ -34,6 +34,8 @@ LEG_JOINTS = ("ankle", "knee", "hip")  # between the segments, upwards
 # Default radius of the contact spheres [m].
 CONTACT_RADIUS_M = 0.032
 
+# Its height as measured: of a small child, and in thick soles.
+ANKLE = {"minimum": 0.02, "maximum": 0.3}
 _FAR_M = 3.0  # a larger coordinate in a body was given in mm
 IN_BODY = {"unit": "m", "minimum": -_FAR_M, "maximum": _FAR_M}
 
@@ -102,8 +104,7 @@ class HumanParameters(_Chain):
         ball_m: place of that hinge in the foot; None: from its length.
     """
 
-    # As measured ones: of a small child, and in thick soles.
-    ankle_height_m: float = quantity("m", minimum=0.02, maximum=0.3)
+    ankle_height_m: float = quantity("m", **ANKLE)
     heel_m: tuple[float, float] = place()
     toe_m: tuple[float, float] = place()
     shank_cuff_m: tuple[float, float] = place()
