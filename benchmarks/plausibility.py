@@ -146,6 +146,12 @@ def all_axes(p: Plant) -> None:
     force_axes(p)
 
 
+def obliquely(p: Plant) -> None:
+    """The subject faces 30° to the left of what the study says."""
+    axes = {"forward": "x", "up": "z", "facing_deg": -30.0}
+    p.laboratory(marker_axes=axes, force_axes=axes)
+
+
 def _of_joint(table: Table, names, change) -> Table:
     values = table.values.copy()
     for name in names:
@@ -369,6 +375,7 @@ MISTAKES: dict[Callable[[Plant], None], tuple[str, ...]] = {
     marker_axes: ("knee_range", "input"),
     force_axes: ("plate_sides", "cop_across", "cop_along"),
     all_axes: ("knee_range",),
+    obliquely: ("facing",),
     encoder_signs: ("encoder_sign",),
     encoder_sign: ("encoder_sign",),
     encoder_offset: ("encoder_offset",),

@@ -58,6 +58,7 @@ LIMITS: dict[str, tuple[float, str, str]] = {
     "ankle_range": (60.0, "deg", "markers"),
     "knee_range": (165.0, "deg", "markers"),
     "hip_range": (150.0, "deg", "markers"),
+    "facing": (15.0, "deg", "markers"),
     "markers": (0.05, "m", "markers"),
     "marker_leap": (8.0, "m/s", "markers"),
     "marker_frozen": (0.02, "m", "markers"),
@@ -632,6 +633,8 @@ def standing_checks(
 
 def body_checks(e: Evidence) -> Iterator[Check]:
     """Checks of the body in one trial."""
+    if e.has_both_feet:
+        yield _facing(e)
     yield from _ranges(e)
     yield _markers(e)
     yield _leap(e)
@@ -663,6 +666,24 @@ def _belt(e: Evidence) -> Check:
         abs(speed),
         f"feet that bear the body move at {speed:+.2f} m/s, as on a "
         f"treadmill; say 'ground: {{belt_speed_m_s: {belt:.2f}}}'",
+    )
+
+
+def _facing(e: Evidence) -> Check:
+    """Whether markers move forward and back rather than obliquely."""
+    steps = np.diff(e.recording.motion.ground_plan[e.inside], axis=0)
+    x, y = steps[np.isfinite(steps).all(axis=2)].T
+    turned = float(np.rad2deg(np.arctan2(2.0 * x @ y, x @ x - y @ y) / 2.0))
+    facing = turned
+    if _knees_bend_backwards(e):
+        facing -= np.copysign(180.0, turned)
+    return e.check(
+        "facing",
+        abs(turned),
+        f"the markers move in a plane that is turned {abs(turned):.0f} deg to "
+        f"the {'left' if turned > 0.0 else 'right'} of forward; add "
+        f"{facing:.0f} to facing_deg of laboratory.marker_axes and force_axes, "
+        "or of the trial's own marker_axes",
     )
 
 

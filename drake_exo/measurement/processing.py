@@ -58,9 +58,10 @@ from drake_exo.measurement.recording import (
     read_foot_forces,
     read_markers,
 )
-from drake_exo.measurement.sagittal import PlanarWrench, merge_plates
+from drake_exo.measurement.sagittal import Axes, PlanarWrench, merge_plates
 from drake_exo.measurement.settings import (
     Device,
+    Laboratory,
     Load,
     Plates,
     RecordingSettings,
@@ -95,6 +96,7 @@ class Motion:
         known: (N,) bool, whether visible markers determine every segment.
         legs: side -> (N, 3) filtered ankle, knee, hip of that leg [rad].
         feet: side -> (N, k, 3) markers of the foot: forward, left, up [m].
+        ground_plan: (N, k, 2) all markers: forward, left [m].
         without: markers left out because they are hidden for too long.
         absent: markers of an OpenSim model that the file lacks.
         applied: segment -> wrench (N,) of the loads on it.
@@ -114,6 +116,7 @@ class Motion:
     known: np.ndarray
     legs: dict[str, np.ndarray]
     feet: dict[str, np.ndarray]
+    ground_plan: np.ndarray
     without: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()
     applied: dict[str, PlanarWrench] = field(default_factory=dict)
@@ -123,7 +126,7 @@ class Motion:
 
     def cut(self, rows: slice) -> "Motion":
         """The motion in some samples; gaps and marker faults stay whole."""
-        one = ("time", "q", "v", "a", "hip_z", "known")
+        one = ("time", "q", "v", "a", "hip_z", "known", "ground_plan")
         several = ("ankles", "residuals_m", "legs", "feet")
         return replace(
             self,
@@ -247,9 +250,10 @@ class Recordings:
     ) -> Recording:
         """Read, clean, synchronise and filter a recording; see `of`."""
         settings, root = self._settings, self._root
-        laboratory, low_pass_filter = self._laboratory, self._filter
+        laboratory = self._laboratory.facing(files.marker_axes)
+        axes, low_pass_filter = laboratory.marker_axes, self._filter
         seen = read_markers(files.markers, settings, root)
-        recorded = _on_belt(seen, settings)
+        recorded = _on_belt(seen, axes, settings.ground.belt_speed_m_s)
         absent: tuple[str, ...] = ()
         if settings.markers is None:
             absent = _absent(self._subject.markers, recorded)
@@ -266,18 +270,22 @@ class Recordings:
             for load in files.loads
         )
         motion = replace(
-            self._follow(markers, gaps, time, followed),
+            self._follow(markers, gaps, time, followed, axes),
             without=without, absent=absent, load_gaps=load_gaps,
             leaps=leaps(recorded, followed.names, LEAST_LEAP_M_S),
             standstills=standstills(seen, followed.by_segment()),
         )  # fmt: skip
         delays, clocks = {"forces": laboratory.force_delay_s}, {}
         loads = files.loads
-        applied = self._applied(loads, motion, recorded, delays["forces"])
+        applied = self._applied(
+            loads, motion, recorded, delays["forces"], laboratory
+        )
         motion = replace(motion, applied=applied)
         if laboratory.estimate_force_delay:
             pulls = [load for load in loads if load.forces is not None]
-            found = self._applied(pulls, motion, recorded, delays["forces"])
+            found = self._applied(
+                pulls, motion, recorded, delays["forces"], laboratory
+            )
             late = _force_delay(
                 motion,
                 on_time.filtered(low_pass_filter),
@@ -293,7 +301,9 @@ class Recordings:
             time = common_time(frames, on_time, low_pass_filter)
             first = np.searchsorted(motion.time, time[0] - 1e-9)
             motion = motion.cut(slice(first, first + len(time)))
-            applied = self._applied(loads, motion, recorded, delays["forces"])
+            applied = self._applied(
+                loads, motion, recorded, delays["forces"], laboratory
+            )
             motion = replace(motion, applied=applied)
         forces = on_time
         stood = {
@@ -342,18 +352,24 @@ class Recordings:
         )
 
     def _follow(
-        self, markers: MarkerData, gaps: Gaps, time, model: MarkerModel
+        self,
+        markers: MarkerData,
+        gaps: Gaps,
+        time: np.ndarray,
+        model: MarkerModel,
+        axes: Axes,
     ) -> Motion:
         """Filtered motion in the frames at `time` (N,), see `solve_poses`."""
-        axes = self._laboratory.marker_axes
         first = np.searchsorted(markers.time, time[0] - 1e-9)
         inside = slice(first, first + len(time))
-        points = axes.points(markers.of(model.names))[inside]
+        places = axes.space(markers.of(model.names))[inside]
         hidden = gaps.hidden(model.names)[inside]
         progress = Progress(
             f"inverse kinematics of {Path(markers.source).name}"
         )
-        poses = solve_poses(model, points, markers.source, progress, hidden)
+        poses = solve_poses(
+            model, places[..., ::2], markers.source, progress, hidden
+        )
         ankles = ankle_paths(model, poses)
         q = coordinates(self._subject.model, model, poses)
 
@@ -377,6 +393,7 @@ class Recordings:
                 side: axes.space(markers.of(model.on("foot", side)))[inside]
                 for side in model.sides
             },
+            places[..., :2],
         )
 
     def _applied(
@@ -385,6 +402,7 @@ class Recordings:
         motion: Motion,
         recorded: MarkerData,
         lag_s: float,
+        laboratory: Laboratory,
     ) -> dict[str, PlanarWrench]:
         """Segment -> sum of the wrenches (N,) of loads on it.
 
@@ -402,32 +420,37 @@ class Recordings:
                     "never carried; correct from_s and to_s of loads"
                 )
             if load.forces is not None:
-                wrench = self._of_file(load, time, lag_s)
+                wrench = self._of_file(load, time, lag_s, laboratory)
             else:
-                place = self._place(load, motion, recorded)
+                axes = laboratory.marker_axes
+                place = self._place(load, motion, recorded, axes)
                 wrench = carried(load, time, place, self._settings.gravity_m_s2)
             if load.body in found:
                 wrench = found[load.body] + wrench
             found[load.body] = wrench
         return found
 
-    def _place(self, load: Load, motion: Motion, recorded: MarkerData):
+    def _place(
+        self, load: Load, motion: Motion, recorded: MarkerData, axes: Axes
+    ) -> np.ndarray:
         """Centre of a mass that is carried, (N, 2) [m]."""
         if load.at_m is not None:
             tree = self._subject.model.rigid.tree
             return tree.point_positions(motion.q, load.body, load.at_m)
-        lab = self._laboratory
-        filled, _ = fill_gaps(recorded, load.markers, lab.fill_gaps_s)
-        middle = lab.marker_axes.points(filled.of(load.markers)).mean(axis=1)
+        longest = self._laboratory.fill_gaps_s
+        filled, _ = fill_gaps(recorded, load.markers, longest)
+        middle = axes.points(filled.of(load.markers)).mean(axis=1)
         smooth = self._filter.smooth(middle, recorded.rate_hz, recorded.source)
         first = np.searchsorted(recorded.time, motion.time[0] - 1e-9)
         return smooth[first : first + len(motion.time)]
 
-    def _of_file(self, load: Load, time, lag_s: float) -> PlanarWrench:
+    def _of_file(
+        self, load: Load, time, lag_s: float, laboratory: Laboratory
+    ) -> PlanarWrench:
         """Wrench (N,) of a load's file of forces."""
         path, plates = self._root / load.forces, Plates(both=load.plate)
         forces = read_foot_forces(
-            path, plates, self._laboratory, self._filter, loaded=False
+            path, plates, laboratory, self._filter, loaded=False
         ).delayed(lag_s)
         step = 1.0 / forces.rate_hz
         if forces.time[0] > time[0] + step or forces.time[-1] < time[-1] - step:
@@ -629,11 +652,10 @@ def _absent(model: MarkerModel, recorded: MarkerData) -> tuple[str, ...]:
     return absent
 
 
-def _on_belt(markers: MarkerData, settings: RecordingSettings) -> MarkerData:
-    """Markers in axes that move with the treadmill's belt."""
-    ahead = settings.ground.belt_speed_m_s * markers.time
-    forward = settings.laboratory.marker_axes.R_PL[0]
-    moved = markers.positions + ahead[:, None, None] * forward
+def _on_belt(markers: MarkerData, axes: Axes, speed: float) -> MarkerData:
+    """Markers in axes that move with the treadmill's belt at `speed` [m/s]."""
+    ahead = speed * markers.time
+    moved = markers.positions + ahead[:, None, None] * axes.R_PL[0]
     # Hidden markers exported as zeros stay zero, so that they are refused.
     moved[(markers.positions == 0.0).all(axis=2)] = 0.0
     return replace(markers, positions=moved)

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from drake_exo.errors import InputError
+from drake_exo.files.schema import quantity
 from drake_exo.files.tables import COP_THRESHOLD_N, PlateRecording
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -23,10 +24,13 @@ class Axes:
 
     Attributes:
         forward, up: name of the axis, with a minus if it points the other way.
+        facing_deg: angle from that axis to where the subject faces, to the
+            left seen from above.
     """
 
     forward: Axis = "x"
     up: Axis = "y"
+    facing_deg: float = quantity("deg", 0.0, minimum=-180.0, maximum=180.0)
 
     def __post_init__(self):
         if self.forward[-1] == self.up[-1]:
@@ -37,17 +41,21 @@ class Axes:
 
     @staticmethod
     def of(R_PL: np.ndarray) -> "Axes":
-        """Axes whose `R_PL` is this rotation (3, 3), by multiples of 90°."""
-        forward, _, up = (
-            ("-" if row.sum() < 0.0 else "") + "xyz"[np.argmax(np.abs(row))]
-            for row in R_PL
+        """Axes whose `R_PL` is this rotation (3, 3); an axis points up."""
+        forward, up = (
+            ("-" if row[i] < 0.0 else "") + "xyz"[i]
+            for row in R_PL[[0, 2]]
+            for i in [np.argmax(np.abs(row))]
         )
-        return Axes(forward, up)
+        x, y, _ = Axes(forward, up).R_PL @ R_PL[0]
+        return Axes(forward, up, float(np.rad2deg(np.arctan2(y, x))))
 
     @property
     def R_PL(self) -> np.ndarray:
         """Rotation (3, 3) from the file's axes to forward, left, up."""
         x, z = _unit(self.forward), _unit(self.up)
+        y, facing = np.cross(z, x), np.deg2rad(self.facing_deg)
+        x = np.cos(facing) * x + np.sin(facing) * y
         return np.stack([x, np.cross(z, x), z])
 
     def points(self, p: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ Paths stay as written in the file, so that results do not depend on the machine.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -290,6 +290,17 @@ class Laboratory:
     hold_cop_below_n: float = quantity("N", 0.0, minimum=0.0)
     chair_on_thighs: float = quantity(None, 0.0, minimum=0.0, maximum=1.0)
 
+    def facing(self, axes: Axes | None) -> "Laboratory":
+        """For a recording with `axes` of its markers; None if with these.
+
+        A subject who faces another way does so on the plates, too.
+        """
+        if axes is None:
+            return self
+        turn = axes.R_PL @ self.marker_axes.R_PL.T
+        turned = Axes.of(turn @ self.force_axes.R_PL)
+        return replace(self, marker_axes=axes, force_axes=turned)
+
     def on_body(self, plate: PlateRecording) -> np.ndarray:
         """Wrench (N, 6) of a plate on the body, as `spatial_wrench`."""
         sign = -1.0 if self.forces_act_on == "plate" else 1.0
@@ -449,7 +460,7 @@ class Standing:
         start_s: start of the quiet part; that of the file by default.
         end_s: end of the quiet part; that of the file by default.
         marker_axes: axes of this marker file, if the subject faced another
-            way than in the trials.
+            way than in the trials; the plates' axes turn along.
     """
 
     markers: Path
@@ -621,6 +632,8 @@ class TrialFiles:
             `toe_off left 1`: heel_strike or toe_off, the foot, and the event's
             number in the recording, from 1.
         end: end of the used part, likewise by an event of a walk.
+        marker_axes: axes of this marker file, if the subject faced another
+            way than in other trials; the plates' axes turn along.
         loads: what is carried, or pulls and pushes.
     """
 
@@ -642,6 +655,7 @@ class TrialFiles:
     end_s: float | None = quantity("s", None)
     begin: str | None = field(default=None, metadata={"key": "from"})
     end: str | None = field(default=None, metadata={"key": "to"})
+    marker_axes: Axes | None = None
     loads: tuple[Load, ...] = ()
 
     def __post_init__(self):

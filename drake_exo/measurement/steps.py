@@ -99,7 +99,7 @@ def recorded_step(
             that cannot be read, markers that are hidden.
     """
     files = _trial(settings, trial)
-    lab = settings.laboratory
+    lab = settings.laboratory.facing(files.marker_axes)
     time, plates = plates_under(root / files.forces, files.plates.of(foot))
     where = f"{files.forces}, trial {trial}, {foot} foot"
     if not plates:
@@ -208,7 +208,7 @@ def _foot_markers(
 ) -> MarkerData:
     """Filtered markers of foot and toes: forward, left, up (N, k, 3) [m]."""
     names = _names(settings, foot)
-    lab = settings.laboratory
+    lab = settings.laboratory.facing(files.marker_axes)
     data, gaps = fill_gaps(
         read_markers(files.markers, settings, root),
         names,

@@ -86,7 +86,9 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
     """
     if isinstance(settings.model, Assembly):
         settings = replace(settings, model=with_text(settings.model, root))
-    axes = settings.standing.marker_axes or settings.laboratory.marker_axes
+    laboratory = settings.laboratory.facing(settings.standing.marker_axes)
+    settings = replace(settings, laboratory=laboratory)
+    axes = laboratory.marker_axes
     person, who = None, settings.assembly.human
     if who.osim is not None:
         height, sex = settings.subject.height_m, settings.subject.sex
@@ -275,13 +277,7 @@ def _standing_wrench(settings, root, ankles) -> PlanarWrench | None:
     standing = settings.standing
     if standing.forces is None:
         return None
-    laboratory = settings.laboratory
-    if standing.marker_axes is not None:
-        # A subject who faces another way does so on the plates, too.
-        turn = standing.marker_axes.R_PL @ laboratory.marker_axes.R_PL.T
-        axes = Axes.of(turn @ laboratory.force_axes.R_PL)
-        laboratory = replace(laboratory, force_axes=axes)
-    forces = read_feet(standing, laboratory, settings.filter, root)
+    forces = read_feet(standing, settings.laboratory, settings.filter, root)
     inside = _inside(forces.time, standing)
     if not inside.any():
         raise InputError(

@@ -99,7 +99,8 @@ def test_a_sound_recording_holds_every_check(folder):
     assert names >= {
         "mass", "standing_posture", "standing_balance", "markers", "end",
         "ankle_range", "knee_range", "hip_range", "newton", "euler",
-        "marker_leap", "marker_frozen", "floor", "foot_sides", "stature",
+        "facing", "marker_leap", "marker_frozen", "floor", "foot_sides",
+        "stature",
         "mean_forward", "mean_sideways", "mean_weight", "shear_sign",
         "leg_angles", "feet_apart", "leg_share", "lifted_foot", "foot_slides",
         "cop_along", "cop_across", "cop_unit", "plate_sides", "chair",
@@ -121,6 +122,23 @@ def test_markers_turned_round_bend_the_knees_backwards(folder, name):
     assert "marker_axes look turned round" in text
     # Left and right are exchanged by the same turn, not by names.
     assert "marker_axes look turned round" in said(folder, "foot_sides")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("axes", "told"),
+    [
+        ("{forward: x, up: y, facing_deg: -30}", "30 deg to the left of"),
+        ("{forward: x, up: y, facing_deg: 150}", "add -150 to facing_deg"),
+    ],
+)
+def test_a_subject_who_faces_obliquely(folder, axes, told):
+    """The file's forward is 30° to the right of the subject's, or behind."""
+    trial = "forces: sts.mot"
+    edit(folder, trial, f"{trial}\n  marker_axes: {axes}")
+    text = said(folder, "facing")
+    assert "sts.trc" in text and told in text
+    assert "30 deg to the left of forward" in text
 
 
 @pytest.mark.slow

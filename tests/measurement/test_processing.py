@@ -27,7 +27,7 @@ from drake_exo.measurement import processing
 from drake_exo.measurement.filters import fill_gaps
 from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.processing import Recordings
-from drake_exo.measurement.settings import Axes, Ground, Scaling
+from drake_exo.measurement.settings import Axes, Scaling
 from drake_exo.measurement.subject import fit_subject
 from drake_exo.model.segments import scale_human
 from drake_exo.study import read_study
@@ -715,14 +715,12 @@ def test_what_is_hidden_just_after_the_used_part_reaches_into_it(files, loaded):
     assert np.abs(trials[0].v - trial.v).max() < 5e-8
 
 
-def test_zeros_of_hidden_markers_are_told_on_a_belt(made):
-    _, _, study = made
-    belt = replace(study, ground=Ground(belt_speed_m_s=1.2))
+def test_zeros_of_hidden_markers_are_told_on_a_belt():
     time = np.arange(100) / RATE
     positions = np.ones((100, 2, 3))
     positions[30:40, 1] = 0.0
     data = MarkerData(time, ("a", "b"), positions, RATE, "walk.trc")
-    moved = processing._on_belt(data, belt)
+    moved = processing._on_belt(data, Axes(), 1.2)
     assert np.ptp(moved.positions[:, 0], axis=0).max() > 1.0
     with pytest.raises(InputError, match="'b' in 10 frames"):
         fill_gaps(moved, ("a", "b"), 0.1)
@@ -756,6 +754,41 @@ def test_a_clock_that_is_known_is_set_before_files_are_compared(files, loaded):
         np.testing.assert_allclose(
             trial.ground.force, plain.ground.force, atol=1e-3
         )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("everywhere", [False, True])
+def test_who_faces_obliquely_does_so_on_the_plates(files, loaded, everywhere):
+    """Turned by 217° to the left, in one trial or in the whole laboratory."""
+    folder, study = files
+    c, s = np.cos(np.deg2rad(217.0)), np.sin(np.deg2rad(217.0))
+    turn = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+    def move(table):
+        values = table.values.reshape(len(table.values), -1, 3) @ turn.T
+        return replace(table, values=values.reshape(table.values.shape))
+
+    for name in ("sts", "static") if everywhere else ("sts",):
+        data = read_trc(folder / f"{name}.trc")
+        turned = replace(data, positions=data.positions @ turn.T)
+        write_trc(folder / f"{name}.trc", turned)
+        edit_forces(folder, move, f"{name}.mot")
+    axes = Axes("-x", "y", 37.0)
+    if everywhere:
+        laboratory = replace(
+            study.laboratory, marker_axes=axes, force_axes=axes
+        )
+        study = replace(study, laboratory=laboratory)
+    else:
+        trials = tuple(replace(t, marker_axes=axes) for t in study.trials)
+        study = replace(study, trials=trials)
+    _, trials = load(study, folder)
+    for found, plain in zip(trials, loaded[1], strict=True):
+        np.testing.assert_allclose(found.q, plain.q, atol=1e-6)
+        np.testing.assert_allclose(
+            found.ground.array, plain.ground.array, atol=1e-4
+        )
+        np.testing.assert_allclose(found.moments, plain.moments, atol=1e-3)
 
 
 def test_who_faces_another_way_in_standing_does_so_on_its_plates(files, human):

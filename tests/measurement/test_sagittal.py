@@ -32,6 +32,20 @@ def test_left_is_up_cross_forward(forward, up, left):
     np.testing.assert_allclose(np.linalg.det(frame.R_PL), 1.0)
 
 
+@pytest.mark.parametrize("facing", [-180.0, -91.0, 0.0, 37.0, 180.0])
+def test_facing_is_to_the_left_seen_from_above(facing):
+    frame = Axes("-z", "y", facing)
+    ahead = np.deg2rad(facing)
+    direction = Axes("-z", "y").R_PL.T @ [np.cos(ahead), np.sin(ahead), 0.0]
+    np.testing.assert_allclose(
+        frame.space(direction), [1.0, 0.0, 0.0], atol=1e-15
+    )
+    np.testing.assert_allclose(frame.space([0.0, 1.0, 0.0]), [0.0, 0.0, 1.0])
+    same = Axes.of(frame.R_PL)
+    assert abs(same.facing_deg) <= 45.0
+    np.testing.assert_allclose(same.R_PL, frame.R_PL, atol=1e-15)
+
+
 def test_opensim_points():
     frame = Axes()
     np.testing.assert_allclose(frame.points([[1.0, 2.0, 3.0]]), [[1.0, 2.0]])

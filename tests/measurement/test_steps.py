@@ -8,10 +8,17 @@ import pytest
 
 from drake_exo.errors import InputError
 from drake_exo.files import schema
-from drake_exo.files.opensim import read_plates, write_trc
+from drake_exo.files.opensim import (
+    read_plates,
+    read_table,
+    read_trc,
+    write_table,
+    write_trc,
+)
 from drake_exo.files.tables import MarkerData
 from drake_exo.measurement.events import Contact
 from drake_exo.measurement.filters import minimum_jerk
+from drake_exo.measurement.sagittal import Axes
 from drake_exo.measurement.steps import (
     _at_frames,
     _chosen,
@@ -120,7 +127,27 @@ def _truth(t):
 @pytest.mark.parametrize("belt", [0.0, -1.2])
 def test_a_known_step_comes_back(tmp_path, belt):
     study = _write(tmp_path, belt)
-    step = recorded_step(study, tmp_path, "walk", "left")
+    _is_known(recorded_step(study, tmp_path, "walk", "left"), belt)
+
+
+def test_a_known_step_comes_back_from_a_walk_across_the_laboratory(tmp_path):
+    """Walked along +z of files whose x is to the left."""
+    study = _write(tmp_path)
+    data = read_trc(tmp_path / "walk.trc")
+    turned = data.positions[..., [2, 1, 0]] * [-1.0, 1.0, 1.0]
+    write_trc(tmp_path / "walk.trc", replace(data, positions=turned))
+    forces = read_table(tmp_path / "walk.mot")
+    values = forces.values.reshape(len(forces.values), -1, 3)
+    values = values[..., [2, 1, 0]] * [-1.0, 1.0, 1.0]
+    values = values.reshape(forces.values.shape)
+    write_table(tmp_path / "walk.mot", replace(forces, values=values))
+    axes = Axes("x", "y", -90.0)
+    trials = tuple(replace(t, marker_axes=axes) for t in study.trials)
+    study = replace(study, trials=trials)
+    _is_known(recorded_step(study, tmp_path, "walk", "left"))
+
+
+def _is_known(step, belt=0.0):
     inside = (step.times > ON + 0.006) & (step.times < OFF - 0.006)
     assert step.times[0] == pytest.approx(ON)
     assert step.times[-1] == pytest.approx(OFF)
