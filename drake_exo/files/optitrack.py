@@ -7,6 +7,7 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.tables import (
+    LENGTH_WORDS,
     MarkerData,
     PlateRecording,
     check_count,
@@ -18,7 +19,6 @@ from drake_exo.files.tables import (
 )
 
 _TOTAL = "Total Exported Frames"
-_LENGTHS = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
 # In the order of C3D: (+x, +y), (-x, +y), (-x, -y), (+x, -y) of the plate.
 _CORNERS = ("PosX_PosY", "NegX_PosY", "NegX_NegY", "PosX_NegY")
 _CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -39,7 +39,7 @@ def read_markers_csv(path: str | Path) -> MarkerData:
             f"{path}: is not a marker export of Motive; export 'CSV' with "
             "its header"
         )
-    scale = _LENGTHS.get(head["Length Units"].strip().lower())
+    scale = LENGTH_WORDS.get(head["Length Units"].strip().lower())
     if scale is None:
         raise InputError(
             f"{path}: Length Units is {head['Length Units']!r}; export in "
@@ -59,7 +59,13 @@ def read_markers_csv(path: str | Path) -> MarkerData:
             f"{path}: has no markers with X, Y and Z; export markers' "
             "positions, each with a name of its own"
         )
-    values = number_rows(path, numbered[start + 1 :], len(rows[start]))
+    # Other columns may hold text: Motive's TimeCode.
+    used = {1} | {i for found in ordered for _, i in found}
+    body = [
+        (line, [cell if i in used else "" for i, cell in enumerate(cells)])
+        for line, cells in numbered[start + 1 :]
+    ]
+    values = number_rows(path, body, len(rows[start]))
     check_increasing(str(path), values[:, 1])
     positions = np.stack(
         [values[:, [i for _, i in found]] for found in ordered], axis=1

@@ -63,6 +63,19 @@ def test_axes_of_a_marker_are_told_by_their_names(tmp_path):
     np.testing.assert_allclose(found, [[2.1, 0.1, 0.05], [0.02, 0.1, 2.3]])
 
 
+def test_a_time_code_is_no_number(tmp_path):
+    lines = markers().splitlines()
+    code = {"Frame": "TimeCode", "": ""}
+    for i in range(2, len(lines)):
+        first, time, rest = lines[i].split(",", 2)
+        cell = code.get(first, "15:26:46:12.02")
+        lines[i] = ",".join((first, time, cell, rest))
+    found = read_markers_csv(write(tmp_path, "\n".join(lines)))
+    plain = read_markers_csv(write(tmp_path, markers()))
+    np.testing.assert_array_equal(found.positions, plain.positions)
+    np.testing.assert_array_equal(found.time, plain.time)
+
+
 def test_marker_units(tmp_path):
     found = read_markers_csv(write(tmp_path, markers(unit="Millimeters")))
     np.testing.assert_allclose(found.positions[2, 0], [2.1e-3, 5e-5, 1e-4])
