@@ -19,6 +19,7 @@ from drake_exo.files.tables import (
 )
 
 _TOTAL = "Total Exported Frames"
+_MULTIPLE = "Mocap Rate Multiple"
 # In the order of C3D: (+x, +y), (-x, +y), (-x, -y), (+x, -y) of the plate.
 _CORNERS = ("PosX_PosY", "NegX_PosY", "NegX_NegY", "PosX_NegY")
 _CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -116,8 +117,12 @@ def read_plate_csv(
                 "and moment"
             )
     values = number_rows(path, numbered[start + 1 :], len(names))
-    check_increasing(str(path), values[:, names.index("MocapTime")])
-    check_count(path, head.get(_TOTAL), len(values), _TOTAL, "frames")
+    time, multiple = _sample_times(path, head, names, values)
+    check_increasing(str(path), time)
+    told = head.get(_TOTAL)
+    if told != str(len(values)):  # of samples, else of frames
+        count = int(len(values) // multiple)
+        check_count(path, told, count, _TOTAL, "frames")
     signals = values[:, [names.index(c) for c in _CHANNELS]]
     if not np.isfinite(signals).all():
         raise InputError(f"{path}: forces have gaps; export it again")
@@ -138,7 +143,30 @@ def read_plate_csv(
         point=np.tile(corners.mean(axis=0), (len(reaction), 1)),
         torque=reaction[:, 3:] @ R.T,
     )
-    return values[first:, names.index("MocapTime")], {1: plate}
+    return time[first:], {1: plate}
+
+
+def _sample_times(
+    path, head: dict, names: list[str], values: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Times (N,) of a plate's samples [s], and how many a mocap frame has.
+
+    If several, all of them may state the frame's time.
+    """
+    time = values[:, names.index("MocapTime")]
+    multiple = frame_rate(path, head.get(_MULTIPLE, "1"), _MULTIPLE)
+    is_told = multiple == 1.0 or "DeviceFrame" not in names
+    if is_told or (np.diff(time) > 0.0).all():
+        return time, multiple
+    rate_hz = frame_rate(path, head.get("Mocap Rate"), "Mocap Rate")
+    sample = values[:, names.index("DeviceFrame")]
+    even = time[0] + (sample - sample[0]) / (rate_hz * multiple)
+    if not (np.abs(even - time) < 1.0 / rate_hz).all():
+        raise InputError(
+            f"{path}: DeviceFrame and MocapTime do not agree at {multiple:g} "
+            f"samples in each of {rate_hz:g} frames a second; export it again"
+        )
+    return even, multiple
 
 
 def _rows(path) -> list[tuple[int, list[str]]]:

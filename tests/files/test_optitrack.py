@@ -91,6 +91,35 @@ def test_a_plate_may_lie_some_metres_away(tmp_path):
     np.testing.assert_allclose(found[1].force[0], [5.0, 700.0, -10.0])
 
 
+@pytest.mark.parametrize("repeated", [True, False])
+@pytest.mark.parametrize("total", [5, 25], ids=["frames", "samples"])
+def test_a_plate_is_sampled_more_often_than_markers(tmp_path, repeated, total):
+    """Five samples in each of ten frames a second."""
+    text = plate().replace(
+        "Frames,25,",
+        f"Frames,{total},\nMocap Rate,10,\nMocap Rate Multiple,5.0,",
+    )
+    lines = text.splitlines()
+    start = next(i for i, s in enumerate(lines) if s.startswith("MocapF")) + 1
+    for i in range(25):
+        _, _, *rest = lines[start + i].split(",")
+        time = 0.1 * (i // 5) if repeated else 0.02 * i
+        lines[start + i] = ",".join([str(i // 5), f"{time:.6f}", *rest])
+    text = "\n".join(lines)
+    time, found = read_plate_csv(write(tmp_path, text))
+    np.testing.assert_allclose(time, 0.02 * np.arange(2, 25), atol=1e-9)
+    assert len(found[1].force) == 23
+    if repeated:
+        wrong = text.replace("Multiple,5.0", "Multiple,4.0")
+        assert "do not agree at 4 samples" in refusal(
+            read_plate_csv, write(tmp_path, wrong)
+        )
+    cut = "\n".join(lines[:-1])
+    assert f"Frames={total}, but there are 4 frames" in refusal(
+        read_plate_csv, write(tmp_path, cut)
+    )
+
+
 def test_plate_acts_on_the_body(tmp_path):
     time, plates = read_plate_csv(write(tmp_path, plate()))
     found = plates[1]
