@@ -26,7 +26,7 @@ _CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
 def read_markers_csv(path: str | Path) -> MarkerData:
-    """Read a marker export of Motive (format version 1.2).
+    """Read a marker export of Motive (format versions 1.2 to 1.25).
 
     Raises:
         InputError: another format, unknown unit, truncated or damaged rows,

@@ -268,7 +268,8 @@ def read_markers(
 ) -> MarkerData:
     """Read a marker file (.trc, .c3d, Motive's .csv) onto an even time base.
 
-    Coordinates of the study's OpenSim model (.mot, .sto) move its markers.
+    Coordinates of the study's OpenSim model (.mot, .sto) move its markers. A
+    model's marker `NAME` may be called `SUBJECT:NAME` in the file.
 
     Raises:
         InputError: unreadable, of another kind, or uneven in time; too short
