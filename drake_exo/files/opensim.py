@@ -12,6 +12,7 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.tables import (
+    LENGTH_WORDS,
     LENGTHS,
     MarkerData,
     PlateRecording,
@@ -25,11 +26,11 @@ from drake_exo.files.tables import (
     read_text,
 )
 
-# ground_force_1_vx, ground_force_vx, 1_ground_force_vx, ground_torque_x,
-# ground_moment_1_mx, ground_force_calcn_r_px, ...
+# ground_force_1_vx, ground_force1_vx, ground_force_vx, 1_ground_force_vx,
+# ground_torque_x, ground_moment_1_mx, ground_force_calcn_r_px, ...
 _PLATE_COLUMN = re.compile(
     r"(?:(?P<before>\w+?)_)?ground_(?P<what>force|torque|moment)"
-    r"(?:_(?P<after>\w+?))?_(?P<kind>[vpm])?(?P<axis>[xyz])"
+    r"(?:(?:_|(?=\d))(?P<after>\w+?))?_(?P<kind>[vpm])?(?P<axis>[xyz])"
 )
 
 
@@ -60,7 +61,7 @@ def read_table(path: str | Path) -> Table:
     for key in ("nColumns", "datacolumns"):
         announced = header.get(key.lower())
         check_count(path, announced, len(names), key, "column names")
-    rows = [(i + 1, lines[i].split()) for i in rest[1:]]
+    rows = [(i + 1, _cells(lines[i], len(names))) for i in rest[1:]]
     values = number_rows(path, rows, len(names))
     for key in ("nRows", "datarows"):
         check_count(path, header.get(key.lower()), len(rows), key, "rows")
@@ -87,7 +88,7 @@ def read_trc(path: str | Path) -> MarkerData:
     keys = [k.lower() for k in lines[1].split()]
     header = dict(zip(keys, lines[2].split(), strict=False))
     scale = _length_unit(path, header.get("units"))
-    cells = [cell.strip() for cell in lines[3].split("\t")]
+    cells = [cell.strip() for cell in _split(lines[3])]
     names = [cell for cell in cells if cell][2:]
     check_names(path, 4, names)
     check_count(
@@ -275,11 +276,12 @@ def _yes_no(path, text: str | None) -> bool | None:
 
 
 def _length_unit(path, unit: str | None) -> float:
-    if unit is None or unit.lower() not in LENGTHS:
+    known = LENGTHS | LENGTH_WORDS
+    if unit is None or unit.lower() not in known:
         raise InputError(
             f"{path}: Units in the header is {unit!r}; write m, cm or mm"
         )
-    return LENGTHS[unit.lower()]
+    return known[unit.lower()]
 
 
 def _is_cut_out(announced: str | None, frames: np.ndarray) -> bool:
@@ -289,12 +291,30 @@ def _is_cut_out(announced: str | None, frames: np.ndarray) -> bool:
     return len(frames) > 0 and frames[0] > 1 and frames[-1] < int(announced)
 
 
+def _cells(line: str, width: int) -> list[str]:
+    """Cells of a .mot row between blanks or, if some are empty, tabs."""
+    cells = line.split()
+    if len(cells) < width <= line.count("\t") + 1:
+        told = line.split("\t")
+        if not "".join(told[width:]).strip():  # tabs behind the row
+            return told[:width]
+    return cells
+
+
+def _split(line: str) -> list[str]:
+    """Cells between tabs; of a line without tabs, between blanks."""
+    line = line.rstrip()
+    return line.split("\t" if "\t" in line else None)
+
+
 def _fields(line: str, width: int) -> list[str]:
     """Cells of a .trc row; whole markers missing at its end become gaps.
 
-    Not in a row without a line break, which may have been truncated.
+    Not in a row without a line break, which may have been truncated, nor in
+    one between blanks, where any marker may be missing.
     """
-    cells = line.rstrip().split("\t")
-    if (len(cells) - 2) % 3 == 0 and line.endswith(("\n", "\r")):
+    cells = _split(line)
+    is_whole = "\t" in line and line.endswith(("\n", "\r"))
+    if (len(cells) - 2) % 3 == 0 and is_whole:
         cells += [""] * (width - len(cells))
     return cells

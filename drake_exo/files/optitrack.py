@@ -7,6 +7,7 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.tables import (
+    LENGTH_WORDS,
     MarkerData,
     PlateRecording,
     check_count,
@@ -18,14 +19,14 @@ from drake_exo.files.tables import (
 )
 
 _TOTAL = "Total Exported Frames"
-_LENGTHS = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
+_MULTIPLE = "Mocap Rate Multiple"
 # In the order of C3D: (+x, +y), (-x, +y), (-x, -y), (+x, -y) of the plate.
 _CORNERS = ("PosX_PosY", "NegX_PosY", "NegX_NegY", "PosX_NegY")
 _CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
 def read_markers_csv(path: str | Path) -> MarkerData:
-    """Read a marker export of Motive (format version 1.2).
+    """Read a marker export of Motive (format versions 1.2 to 1.25).
 
     Raises:
         InputError: another format, unknown unit, truncated or damaged rows,
@@ -39,7 +40,7 @@ def read_markers_csv(path: str | Path) -> MarkerData:
             f"{path}: is not a marker export of Motive; export 'CSV' with "
             "its header"
         )
-    scale = _LENGTHS.get(head["Length Units"].strip().lower())
+    scale = LENGTH_WORDS.get(head["Length Units"].strip().lower())
     if scale is None:
         raise InputError(
             f"{path}: Length Units is {head['Length Units']!r}; export in "
@@ -59,7 +60,13 @@ def read_markers_csv(path: str | Path) -> MarkerData:
             f"{path}: has no markers with X, Y and Z; export markers' "
             "positions, each with a name of its own"
         )
-    values = number_rows(path, numbered[start + 1 :], len(rows[start]))
+    # Other columns may hold text: Motive's TimeCode.
+    used = {1} | {i for found in ordered for _, i in found}
+    body = [
+        (line, [cell if i in used else "" for i, cell in enumerate(cells)])
+        for line, cells in numbered[start + 1 :]
+    ]
+    values = number_rows(path, body, len(rows[start]))
     check_increasing(str(path), values[:, 1])
     positions = np.stack(
         [values[:, [i for _, i in found]] for found in ordered], axis=1
@@ -110,8 +117,12 @@ def read_plate_csv(
                 "and moment"
             )
     values = number_rows(path, numbered[start + 1 :], len(names))
-    check_increasing(str(path), values[:, names.index("MocapTime")])
-    check_count(path, head.get(_TOTAL), len(values), _TOTAL, "frames")
+    time, multiple = _sample_times(path, head, names, values)
+    check_increasing(str(path), time)
+    told = head.get(_TOTAL)
+    if told != str(len(values)):  # of samples, else of frames
+        count = int(len(values) // multiple)
+        check_count(path, told, count, _TOTAL, "frames")
     signals = values[:, [names.index(c) for c in _CHANNELS]]
     if not np.isfinite(signals).all():
         raise InputError(f"{path}: forces have gaps; export it again")
@@ -132,7 +143,30 @@ def read_plate_csv(
         point=np.tile(corners.mean(axis=0), (len(reaction), 1)),
         torque=reaction[:, 3:] @ R.T,
     )
-    return values[first:, names.index("MocapTime")], {1: plate}
+    return time[first:], {1: plate}
+
+
+def _sample_times(
+    path, head: dict, names: list[str], values: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Times (N,) of a plate's samples [s], and how many a mocap frame has.
+
+    If several, all of them may state the frame's time.
+    """
+    time = values[:, names.index("MocapTime")]
+    multiple = frame_rate(path, head.get(_MULTIPLE, "1"), _MULTIPLE)
+    is_told = multiple == 1.0 or "DeviceFrame" not in names
+    if is_told or (np.diff(time) > 0.0).all():
+        return time, multiple
+    rate_hz = frame_rate(path, head.get("Mocap Rate"), "Mocap Rate")
+    sample = values[:, names.index("DeviceFrame")]
+    even = time[0] + (sample - sample[0]) / (rate_hz * multiple)
+    if not (np.abs(even - time) < 1.0 / rate_hz).all():
+        raise InputError(
+            f"{path}: DeviceFrame and MocapTime do not agree at {multiple:g} "
+            f"samples in each of {rate_hz:g} frames a second; export it again"
+        )
+    return even, multiple
 
 
 def _rows(path) -> list[tuple[int, list[str]]]:

@@ -78,8 +78,8 @@ def read_novel_asc(path: str | Path) -> PressureRecording:
     # Only lines on pressure: names of files and sensors may look like units.
     values = re.findall(r"^\s*pressure.*", head, re.IGNORECASE | re.MULTILINE)
     scale = _unit(path, "\n".join(values))
-    rate = _number(path, head, r"scanning rate \[hz\]:\s*([\d.]+)", "rate")
-    total = _number(path, head, r"total time \[secs\]:\s*([\d.]+)", "time")
+    rate = _number(path, head, r"scanning rate \[hz\]", "rate")
+    total = _number(path, head, r"total time \[secs\]", "time")
     count = len(lines[start].split())
     values = _table(path, lines, start + 1, count, None)
     check_increasing(str(path), values[:, 0])
@@ -219,8 +219,14 @@ def _unit(path, text: str) -> float:
     )
 
 
-def _number(path, text: str, pattern: str, what: str) -> float:
+def _number(path, text: str, key: str, what: str) -> float:
+    pattern = rf"{key}:\s*([\d.]+(?:,\d+)?)"
     match = re.search(pattern, text, re.IGNORECASE)
+    if match and "," in match[1]:
+        raise InputError(
+            f"{path}: the {what} in the header is {match[1]!r}; export it with "
+            "decimal points, not commas"
+        )
     if not match or not float(match[1]) > 0.0:
         raise InputError(
             f"{path}: the header names no {what} (scanning rate [Hz], total "

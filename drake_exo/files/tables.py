@@ -184,14 +184,19 @@ def _not_a_number(path, rows, texts) -> InputError:
             try:
                 float(cell if _is_plain(cell) else "text")
             except ValueError:
+                remedy = "correct it or export it again"
+                if re.fullmatch(r"[+-]?\d*,\d+", cell):
+                    remedy = "export it with decimal points, not commas"
                 return InputError(
                     f"{path}:{line}: holds text among numbers "
-                    f"({shown(cell)!r}); correct it or export it again"
+                    f"({shown(cell)!r}); {remedy}"
                 )
     return InputError(f"{path}: holds text among numbers; export it again")
 
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}  # to m
+# As Motive and SIMM write them.
+LENGTH_WORDS = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
 # Largest error of a rounded time stamp, in steps; beyond, a frame is missing.
 _JITTER = 0.45
 

@@ -268,7 +268,8 @@ def read_markers(
 ) -> MarkerData:
     """Read a marker file (.trc, .c3d, Motive's .csv) onto an even time base.
 
-    Coordinates of the study's OpenSim model (.mot, .sto) move its markers.
+    Coordinates of the study's OpenSim model (.mot, .sto) move its markers. A
+    model's marker `NAME` may be called `SUBJECT:NAME` in the file.
 
     Raises:
         InputError: unreadable, of another kind, or uneven in time; too short
@@ -286,10 +287,27 @@ def read_markers(
     else:
         read = _MARKER_READERS[kind_of(path, _MARKER_READERS, "a marker file")]
         data = read(path)
+        if osim is not None and settings.markers is None:
+            data = _without_subject(data, read_osim(root / osim).markers)
     time = uniform_time(data.source, data.time, data.rate_hz)
     cutoff_hz = settings.filter.cutoff_hz
     check_filterable(data.source, len(time), data.rate_hz, cutoff_hz)
     return replace(data, time=time)
+
+
+def _without_subject(data: MarkerData, known: Iterable[str]) -> MarkerData:
+    """Markers `SUBJECT:NAME` under the NAME by which a model knows them.
+
+    Those of two subjects keep theirs, since either may be meant.
+    """
+    plain = [name.rpartition(":")[2] for name in data.names]
+    names = tuple(
+        short
+        if short in known and plain.count(short) == 1 and name not in known
+        else name
+        for name, short in zip(data.names, plain, strict=True)
+    )
+    return replace(data, names=names)
 
 
 def read_foot_forces(

@@ -124,6 +124,9 @@ def test_numbers_of_rows_are_told_by_their_line():
         number_rows("f", [rows[0], (5, ["2", "-2e30"])], 2)
     with pytest.raises(InputError, match=r"f:5: has 4 .* decimal commas$"):
         number_rows("f", [rows[0], (5, ["0", "01", "1", "5"])], 2)
+    comma = r"\('-,02'\); export it with decimal points, not commas$"
+    with pytest.raises(InputError, match=rf"^f:5: holds text .* {comma}"):
+        number_rows("f", [rows[0], (5, ["1", "-,02"])], 2)
 
 
 def test_gaps_are_counted():

@@ -175,6 +175,12 @@ PLATE_NAMES = {
         for w in (f"force_{n}_v", f"force_{n}_p", f"torque_{n}_")
         for a in "xyz"
     ],
+    "no underscore": [
+        f"ground_{w}{a}"
+        for n in (1, 2)
+        for w in (f"force{n}_v", f"force{n}_p", f"torque{n}_")
+        for a in "xyz"
+    ],
     "bodies": [
         f"ground_force_calcn_{n}_{k}{a}"
         for n in "rl"
@@ -234,6 +240,23 @@ def test_plate_numbers_follow_the_columns():
     # A digit, but no number.
     plates = plates_of(table([n.replace("7", "²") for n in names[6:]]))
     assert list(plates) == [1]
+
+
+@pytest.mark.parametrize("tail", ["", "\t\t"], ids=["", "trailing tabs"])
+def test_empty_cells_between_tabs_are_gaps(tmp_path, tail):
+    """As pandas writes the points of an unloaded plate."""
+    names = PLATE_NAMES["numbered"]
+    values = np.tile(np.arange(1.0, 19.0), (25, 1))
+    values[4, 9:] = [0.0] * 3 + [np.nan] * 3 + [0.0] * 3
+    values[5, -1] = np.nan
+    text = mot(names, values).replace("nan", "").replace("\n", tail + "\n")
+    found = read_table(write(tmp_path, text))
+    np.testing.assert_array_equal(found.values, values)
+    # Between blanks, nobody knows which one is missing.
+    blanks = write(tmp_path, text.replace("\t", "  "))
+    assert ":12: has 16 values where 19 are named" in refusal(
+        read_table, blanks
+    )
 
 
 def test_missing_plate_component_is_named():
@@ -313,6 +336,33 @@ def test_marker_units_come_from_the_header(tmp_path, markers):
     np.testing.assert_allclose(
         read_trc(path).positions, 1e-3 * markers.positions, atol=1e-9
     )
+
+
+def test_units_may_be_words(tmp_path, markers):
+    """As SIMM writes them."""
+    path = tmp_path / "m.trc"
+    write_trc(path, markers)
+    text = path.read_text()
+    for word, scale in (("meters", 1.0), ("Millimeters", 1e-3)):
+        path.write_text(text.replace("\tm\t", f"\t{word}\t"))
+        np.testing.assert_allclose(
+            read_trc(path).positions, scale * markers.positions, atol=1e-8
+        )
+
+
+def test_markers_between_blanks(tmp_path, markers):
+    path = tmp_path / "m.trc"
+    write_trc(path, markers)
+    text = path.read_text().replace("\t", "  ")
+    path.write_text(text)
+    found = read_trc(path)
+    assert found.names == markers.names
+    np.testing.assert_allclose(found.positions, markers.positions, atol=1e-8)
+    # A marker's place cannot be told from the others once it is missing.
+    lines = text.splitlines()
+    lines[9] = "  ".join(lines[9].split()[:-3])
+    path.write_text("\n".join(lines) + "\n")
+    assert ":10: has 8 values where 11 are named" in refusal(read_trc, path)
 
 
 def test_even_times_behind_rounded_stamps():

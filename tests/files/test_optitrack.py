@@ -63,6 +63,19 @@ def test_axes_of_a_marker_are_told_by_their_names(tmp_path):
     np.testing.assert_allclose(found, [[2.1, 0.1, 0.05], [0.02, 0.1, 2.3]])
 
 
+def test_a_time_code_is_no_number(tmp_path):
+    lines = markers().splitlines()
+    code = {"Frame": "TimeCode", "": ""}
+    for i in range(2, len(lines)):
+        first, time, rest = lines[i].split(",", 2)
+        cell = code.get(first, "15:26:46:12.02")
+        lines[i] = ",".join((first, time, cell, rest))
+    found = read_markers_csv(write(tmp_path, "\n".join(lines)))
+    plain = read_markers_csv(write(tmp_path, markers()))
+    np.testing.assert_array_equal(found.positions, plain.positions)
+    np.testing.assert_array_equal(found.time, plain.time)
+
+
 def test_marker_units(tmp_path):
     found = read_markers_csv(write(tmp_path, markers(unit="Millimeters")))
     np.testing.assert_allclose(found.positions[2, 0], [2.1e-3, 5e-5, 1e-4])
@@ -76,6 +89,35 @@ def test_a_plate_may_lie_some_metres_away(tmp_path):
     far = plate().replace("_X,0.", "_X,7.")
     _, found = read_plate_csv(write(tmp_path, far))
     np.testing.assert_allclose(found[1].force[0], [5.0, 700.0, -10.0])
+
+
+@pytest.mark.parametrize("repeated", [True, False])
+@pytest.mark.parametrize("total", [5, 25], ids=["frames", "samples"])
+def test_a_plate_is_sampled_more_often_than_markers(tmp_path, repeated, total):
+    """Five samples in each of ten frames a second."""
+    text = plate().replace(
+        "Frames,25,",
+        f"Frames,{total},\nMocap Rate,10,\nMocap Rate Multiple,5.0,",
+    )
+    lines = text.splitlines()
+    start = next(i for i, s in enumerate(lines) if s.startswith("MocapF")) + 1
+    for i in range(25):
+        _, _, *rest = lines[start + i].split(",")
+        time = 0.1 * (i // 5) if repeated else 0.02 * i
+        lines[start + i] = ",".join([str(i // 5), f"{time:.6f}", *rest])
+    text = "\n".join(lines)
+    time, found = read_plate_csv(write(tmp_path, text))
+    np.testing.assert_allclose(time, 0.02 * np.arange(2, 25), atol=1e-9)
+    assert len(found[1].force) == 23
+    if repeated:
+        wrong = text.replace("Multiple,5.0", "Multiple,4.0")
+        assert "do not agree at 4 samples" in refusal(
+            read_plate_csv, write(tmp_path, wrong)
+        )
+    cut = "\n".join(lines[:-1])
+    assert f"Frames={total}, but there are 4 frames" in refusal(
+        read_plate_csv, write(tmp_path, cut)
+    )
 
 
 def test_plate_acts_on_the_body(tmp_path):

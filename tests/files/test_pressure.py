@@ -85,6 +85,7 @@ def test_without_masks_all_cells_are_one_mat(tmp_path):
             "announces 100 Hz, but its time column runs at 50 Hz",
         ),
         (asc()[:-30], "has 3 values where 6"),
+        (asc().replace(".", ","), "time in the header is '0,5'; export it"),
         (asc().replace("time[secs]", "t"), "starting with time[secs]"),
         (asc().replace("   2.500\t", "     abc\t", 1), "text among numbers"),
         (asc().replace("   0.10000\t", "   0.08000\t"), "does not increase"),

@@ -113,6 +113,23 @@ def test_spheres_lie_on_the_floor_of_standing(folder):
         assert z - ankle + ANKLE == pytest.approx(0.032, abs=1e-6)
 
 
+def test_a_subject_before_the_names_is_no_other_marker(folder):
+    """Vicon and Motive write LASI as Sub:LASI."""
+    standing = read_trc(folder / "standing.trc")
+    named = tuple(f"Sub:{name}" for name in standing.names)
+    write_trc(folder / "standing.trc", replace(standing, names=named))
+    _, subject = fitted(folder)
+    assert subject.model.human.ankle_height_m == pytest.approx(ANKLE, abs=1e-6)
+    assert subject.report["osim"]["not_seen"] == ["toe2_l"]
+    # Of two subjects, either may be meant.
+    twice = named + tuple(f"Other:{name}" for name in standing.names)
+    p = np.concatenate([standing.positions, standing.positions], axis=1)
+    both = replace(standing, names=twice, positions=p)
+    write_trc(folder / "standing.trc", both)
+    with pytest.raises(InputError, match="has no marker that"):
+        fitted(folder)
+
+
 def test_short_gaps_of_standing_are_filled(folder):
     standing = read_trc(folder / "standing.trc")
     standing.positions[8:11, standing.names.index("knee_l")] = np.nan
