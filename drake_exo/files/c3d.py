@@ -41,6 +41,7 @@ from drake_exo.files.tables import (
     kept,
     plate_axes,
     read_bytes,
+    without_zeros,
 )
 
 _CHILD = Path(__file__).with_name("c3d_child.py")
@@ -246,12 +247,10 @@ def _markers(path, file: C3dContents) -> MarkerData | None:
     if p.size == 0:
         return None
     p = _point_unit(path, file) * p
-    # Some exporters write unseen markers as zeros instead of residual -1.
-    p = np.where((p == 0.0).all(axis=2, keepdims=True), np.nan, p)
     return MarkerData(
         time=np.arange(len(p)) / file.rate_hz,
         names=_unique(file.texts("POINT", "LABELS"), p.shape[1], "marker"),
-        positions=p,
+        positions=without_zeros(p),
         rate_hz=file.rate_hz,
         source=str(path),
     )

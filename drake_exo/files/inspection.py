@@ -179,8 +179,6 @@ def _markers(data: MarkerData) -> Contents:
             continue
         middle = ", ".join(f"{x:.3f}" for x in np.median(p[~unseen], axis=0))
         lines.append(f"{name}: around ({middle}) m{_gaps(data.time, unseen)}")
-        if (p == 0.0).all(axis=1).any():
-            lines[-1] += "; at exactly (0, 0, 0) at times: hidden, as zeros"
     count = _counted(len(data.names), "marker")
     return {f"{count}, positions in m, {_span(data.time)}": lines}
 

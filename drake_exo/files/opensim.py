@@ -24,6 +24,7 @@ from drake_exo.files.tables import (
     frame_rate,
     number_rows,
     read_text,
+    without_zeros,
 )
 
 # ground_force_1_vx, ground_force1_vx, ground_force_vx, 1_ground_force_vx,
@@ -107,7 +108,8 @@ def read_trc(path: str | Path) -> MarkerData:
     return MarkerData(
         time=values[:, 1],
         names=tuple(names),
-        positions=scale * values[:, 2:].reshape(len(rows), -1, 3),
+        positions=scale
+        * without_zeros(values[:, 2:].reshape(len(rows), -1, 3)),
         rate_hz=frame_rate(path, header.get("datarate"), "DataRate"),
         source=str(path),
     )

@@ -16,6 +16,7 @@ from drake_exo.files.tables import (
     number_rows,
     plate_axes,
     read_text,
+    without_zeros,
 )
 
 _TOTAL = "Total Exported Frames"
@@ -75,7 +76,7 @@ def read_markers_csv(path: str | Path) -> MarkerData:
     return MarkerData(
         time=values[:, 1],
         names=tuple(columns),
-        positions=scale * positions,
+        positions=scale * without_zeros(positions),
         rate_hz=frame_rate(
             path, head.get("Export Frame Rate"), "Export Frame Rate"
         ),

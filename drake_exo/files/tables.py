@@ -315,6 +315,12 @@ class MarkerData:
         return np.stack(found, axis=1)
 
 
+def without_zeros(positions: np.ndarray) -> np.ndarray:
+    """Markers (N, M, 3), NaN where exporters wrote unseen ones as (0, 0, 0)."""
+    unseen = (positions == 0.0).all(axis=2, keepdims=True)
+    return np.where(unseen, np.nan, positions)
+
+
 @dataclass(frozen=True)
 class PlateRecording:
     """One force plate as recorded, in the file's axes.

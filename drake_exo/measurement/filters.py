@@ -306,13 +306,12 @@ def fill_gaps(
         The markers without gaps, and the gaps that they had.
 
     Raises:
-        InputError: a marker is missing, or the file has zeros where hidden.
+        InputError: a marker is missing.
     """
     names = tuple(dict.fromkeys(names))
     for name in names:
         if name not in data.names:
             raise missing_column(data.source, name, data.names, "marker")
-    _check_zeros(data, names)
     positions, unseen = data.positions.copy(), {}
     for name in names:
         p = positions[:, data.names.index(name)]
@@ -324,24 +323,6 @@ def fill_gaps(
         p = positions[:, data.names.index(name)]
         _fill(data.time, p, mask, gaps.hidden([name])[:, 0])
     return replace(data, positions=positions), gaps
-
-
-def _check_zeros(data: MarkerData, names: tuple[str, ...]) -> None:
-    """Refuse markers at exactly (0, 0, 0): exporters' value for hidden."""
-    at = [data.names.index(name) for name in names]
-    zero = (data.positions[:, at] == 0.0).all(axis=2)
-    if not zero.any():
-        return
-    found = [
-        f"{name!r} in {zero[:, i].sum()} frames from "
-        f"{data.time[np.argmax(zero[:, i])]:g} s"
-        for i, name in enumerate(names)
-        if zero[:, i].any()
-    ]
-    raise InputError(
-        f"{data.source}: marker at exactly (0, 0, 0): {', '.join(found)}; "
-        "hidden markers were exported as zeros: export them as empty fields"
-    )
 
 
 def _fill(time, p: np.ndarray, unseen: np.ndarray, hidden: np.ndarray) -> None:

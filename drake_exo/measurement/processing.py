@@ -656,8 +656,6 @@ def _on_belt(markers: MarkerData, axes: Axes, speed: float) -> MarkerData:
     """Markers in axes that move with the treadmill's belt at `speed` [m/s]."""
     ahead = speed * markers.time
     moved = markers.positions + ahead[:, None, None] * axes.R_PL[0]
-    # Hidden markers exported as zeros stay zero, so that they are refused.
-    moved[(markers.positions == 0.0).all(axis=2)] = 0.0
     return replace(markers, positions=moved)
 
 

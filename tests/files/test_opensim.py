@@ -308,6 +308,15 @@ def test_markers_survive_writing(tmp_path, markers):
         found.of(["heal"])
 
 
+def test_markers_at_zero_were_not_seen(tmp_path, markers):
+    markers.positions[3, 1] = 0.0
+    markers.positions[4, 1, :2] = 0.0  # a marker may be at two of them
+    write_trc(tmp_path / "m.trc", markers)
+    found = read_trc(tmp_path / "m.trc").positions
+    assert np.isnan(found[3, 1]).all()
+    assert np.isfinite(found).sum() == found.size - 3
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -56,6 +56,13 @@ def test_markers(tmp_path):
         found.of(["A:TOE"])
 
 
+def test_markers_at_zero_were_not_seen(tmp_path):
+    text = markers().replace("3.3,0.02,0.1", "0,0,0")
+    text = text.replace("4.3,0.02,0.1", "0.000000,0.000000,0.000000")
+    unseen = np.isnan(read_markers_csv(write(tmp_path, text)).positions[:, 1])
+    assert np.flatnonzero(unseen.all(axis=1)).tolist() == [3, 4]
+
+
 def test_axes_of_a_marker_are_told_by_their_names(tmp_path):
     text = markers() + "  \n"  # a blank line, as editors leave one
     turned = text.replace("X,Y,Z,X,Y,Z,X,Y,Z", "X,Z,Y,X,Y,Z,Z,X,Y")

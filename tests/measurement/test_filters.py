@@ -158,11 +158,3 @@ def test_gaps_are_told_where_they_reach_into_a_part():
     said = gaps.sentence(many)
     assert "'m11'" in said and "'m12'" not in said
     assert said.endswith("and 2 more gaps")
-
-
-def test_hidden_markers_that_are_zeros_are_refused():
-    _, data = hidden_markers()
-    data.positions[60:63, 0] = 0.0
-    data.positions[70, 1, :2] = 0.0  # two of three may be
-    with pytest.raises(InputError, match=r"'A' in 3 frames from 2\.6 s;"):
-        fill_gaps(data, ("A", "B"), 0.1)

@@ -23,8 +23,6 @@ from drake_exo.files.opensim import (
     write_trc,
 )
 from drake_exo.files.tables import MarkerData, Table
-from drake_exo.measurement import processing
-from drake_exo.measurement.filters import fill_gaps
 from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.processing import Recordings
 from drake_exo.measurement.settings import Axes, Scaling
@@ -713,17 +711,6 @@ def test_what_is_hidden_just_after_the_used_part_reaches_into_it(files, loaded):
     _, trials = load(study, folder)
     assert len(trials[0].provenance["markers_left_out"]) == 3
     assert np.abs(trials[0].v - trial.v).max() < 5e-8
-
-
-def test_zeros_of_hidden_markers_are_told_on_a_belt():
-    time = np.arange(100) / RATE
-    positions = np.ones((100, 2, 3))
-    positions[30:40, 1] = 0.0
-    data = MarkerData(time, ("a", "b"), positions, RATE, "walk.trc")
-    moved = processing._on_belt(data, Axes(), 1.2)
-    assert np.ptp(moved.positions[:, 0], axis=0).max() > 1.0
-    with pytest.raises(InputError, match="'b' in 10 frames"):
-        fill_gaps(moved, ("a", "b"), 0.1)
 
 
 @pytest.mark.slow

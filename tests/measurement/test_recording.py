@@ -72,12 +72,6 @@ def test_what_is_hidden_for_long_is_bridged_and_marked(data):
     np.testing.assert_allclose(between, middle, atol=1e-9)
 
 
-def test_hidden_markers_written_as_zeros_are_told(data):
-    data.positions[20:25, 0] = 0.0
-    with pytest.raises(InputError, match=r"'a' in 5 frames from 0\.2 s.*zeros"):
-        fill_gaps(data, ["a"], 1.0)
-
-
 def test_unknown_markers_are_refused(data):
     with pytest.raises(InputError, match="no marker 'c'"):
         fill_gaps(data, ["c"], 1.0)
