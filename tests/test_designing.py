@@ -30,6 +30,7 @@ from drake_exo.calibration.settings import (
 )
 from drake_exo.calibration.wearers import Hold, Wearer
 from drake_exo.cli import main
+from drake_exo.cli.design import without_effect
 from drake_exo.contact.parameters import Posterior, nominal_contact
 from drake_exo.contact.strap import CuffDesign, Design, read_design
 from drake_exo.designed import Designed, Moved, Peak
@@ -847,6 +848,16 @@ def test_a_missing_calibration_is_one_sentence(capsys, tmp_path, data_root):
     path = data_root.parent / "nowhere.yaml"
     assert main(["design", str(path), "--out", str(tmp_path / "out")]) == 2
     assert "cannot be read" in capsys.readouterr().err
+
+
+def test_a_step_without_data_has_no_effect_on_a_design():
+    study = SimpleNamespace(name="anna", prediction=PredictionSettings())
+    assert without_effect(study) == []
+    study.prediction = PredictionSettings(ends="periodic")
+    assert (
+        "note  design.ends (anna, prediction.ends: periodic): has no effect, "
+        "nor has the step's speed" in Verdict((*without_effect(study),)).text()
+    )
 
 
 def test_a_wearer_given_twice_is_one_sentence(capsys, tmp_path):
