@@ -277,16 +277,18 @@ class _Item:
             at = items.get(named, [None])[0]
             raise self.error(f"{where}{error}", at) from error
 
-    def _union(self, options: Sequence) -> Any:
-        if _is_null(self.node) and type(None) in options:
+    def _union(self, of: Sequence) -> Any:
+        if _is_null(self.node) and type(None) in of:
             return None
-        options = [o for o in options if o is not type(None)]
+        options = [o for o in of if o is not type(None)]
         errors = []
         for option in options:
             try:
                 return self.read(option)
             except InputError as error:
                 errors.append(error)
+        if len(options) < len(of) and self.node.value in ("none", "None"):
+            raise self.error(f"{self.where} is {self.node.value!r}; write null")
         # Report the error of the option that was meant: a dataclass if the
         # node is a mapping, a sequence if it is a list.
         fitting = [
@@ -448,7 +450,7 @@ def _same_shape(node: yaml.Node, hint: Any) -> bool:
         return dataclasses.is_dataclass(kind) or kind is dict
     if isinstance(node, yaml.SequenceNode):
         return kind in (list, tuple)
-    return kind in (str, int, float, bool, Path)
+    return kind in (str, int, float, bool, Path, Literal)
 
 
 def _describe(node: yaml.Node) -> str:
