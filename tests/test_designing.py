@@ -832,6 +832,22 @@ def test_wrong_settings_are_one_sentence(text, said):
         schema.load_text(text, DesignSettings)
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ((1.7, (70.0, 10.0)), "height_m is 1.7; give mean and standard dev"),
+        (((1.7, 0.1), (70.0,)), r"mass_kg is \(70.0,\); give mean and"),
+        (
+            ((1.7, "a"), (70.0, 1.0)),
+            "height_m must be a number .m., but is 'a'",
+        ),
+    ],
+)
+def test_sizes_in_python_are_one_sentence_too(given, said):
+    with pytest.raises(InputError, match=said):
+        Population(*given)
+
+
 @pytest.mark.slow
 def test_a_population_that_bears_a_load_is_told_before_work(monkeypatch):
     """Solving the own movements comes after."""
