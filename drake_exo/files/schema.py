@@ -290,11 +290,11 @@ class _Item:
         if len(options) < len(of) and self.node.value in ("none", "None"):
             raise self.error(f"{self.where} is {self.node.value!r}; write null")
         # Report the error of the option that was meant: a dataclass if the
-        # node is a mapping, a sequence if it is a list.
+        # node is a mapping, a sequence if it is a list, the first if empty.
         fitting = [
             e
             for e, o in zip(errors, options, strict=True)
-            if _same_shape(self.node, o)
+            if _is_null(self.node) or _same_shape(self.node, o)
         ]
         raise (fitting or errors)[0]
 
@@ -450,7 +450,7 @@ def _same_shape(node: yaml.Node, hint: Any) -> bool:
         return dataclasses.is_dataclass(kind) or kind is dict
     if isinstance(node, yaml.SequenceNode):
         return kind in (list, tuple)
-    return kind in (str, int, float, bool, Path, Literal)
+    return kind in (str, int, float, bool, Path)
 
 
 def _describe(node: yaml.Node) -> str:
