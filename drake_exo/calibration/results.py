@@ -228,6 +228,12 @@ class _Stored:
                 self.jerk,
             ),
         )
+        for name, unit in self.contact.units().items():
+            if self.units.get(name, unit) != unit:
+                raise InputError(
+                    f"units: {name} is in {self.units[name]!r}, but is read in "
+                    f"{unit!r}; give it so"
+                )
 
     def _groups(self, names) -> dict[str, None]:
         """Spheres or cuffs (as keys) that have parameters of these names."""

@@ -1,5 +1,6 @@
 """Results on disk: what one phase writes, the next one reads."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -232,6 +233,19 @@ def test_a_calibration_of_another_is_told(in_device, tmp_path):
     assert note.level == "note"
     moved = replace(own[0], q=own[0].q + 0.01)
     assert _failing(found, in_device, of=[moved]) == []
+
+
+def test_parameters_in_another_unit_are_refused(in_device, tmp_path):
+    _stored(in_device, tmp_path)
+    path = tmp_path / "parameters.json"
+    found = json.loads(path.read_text())
+    name = next(n for n, unit in found["units"].items() if unit == "N/m")
+    found["units"][name] = "kN/m"
+    path.write_text(json.dumps(found))
+    with pytest.raises(
+        InputError, match=rf"units: {name} is in 'kN/m', but is read in 'N/m'"
+    ):
+        read_calibration(tmp_path)
 
 
 def test_recordings_read_in_another_way_are_told(in_device, tmp_path):
