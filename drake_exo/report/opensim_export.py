@@ -499,10 +499,13 @@ def export_opensim(
             f"{out}: --out would replace the model that it is made of; "
             "choose another file"
         )
-    trials = [
-        read_trial(folder, path.stem.removeprefix("solution_"), accept=[SOLVED])
-        for path in sorted(folder.glob("solution_*.npz"))
-    ]
+    # By both of a trial's files, so that one that is missing is told.
+    stems = {
+        path.stem.removeprefix("solution_")
+        for path in folder.glob("solution_*")
+        if path.suffix in (".npz", ".json")
+    }
+    trials = [read_trial(folder, s, accept=[SOLVED]) for s in sorted(stems)]
     names = [
         f"{out.stem}_{trial.name}_{what}.sto"
         for trial in trials

@@ -626,6 +626,14 @@ def test_what_cannot_be_carried_over_is_refused(case, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_movement_that_is_gone_is_told(case):
+    one = case("alone")
+    (one.folder / "solution_a.npz").unlink()
+    with pytest.raises(InputError, match=r"solution_a.npz: cannot be read"):
+        one.export()
+
+
+@pytest.mark.slow
 def test_toes_that_the_model_holds_are_refused(case):
     one = case("two legs")
     text = one.osim.read_text()
