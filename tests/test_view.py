@@ -72,6 +72,18 @@ def test_bad_folder_ends_in_a_sentence(tmp_path, capsys, results, words):
     assert not out.exists()
 
 
+@pytest.mark.parametrize("name", ["checkpoint.json", "a/checkpoint.npz"])
+def test_a_run_that_was_cut_off_is_told(tmp_path, capsys, name):
+    """Of soles and of movements; results beside it are shown."""
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(b"")
+    said = refused(capsys, tmp_path, "--no-browser")
+    assert "holds a run that was cut off, and nothing to replay yet" in said
+    (tmp_path / "summary.json").write_text("{}")
+    assert "cut off" not in refused(capsys, tmp_path, "--no-browser")
+
+
 def test_bad_target_ends_in_a_sentence(folder, tmp_path, capsys):
     assert "folder" in refused(capsys, folder, "--out", tmp_path)
     missing = tmp_path / "no" / "page.html"

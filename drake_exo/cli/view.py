@@ -77,6 +77,11 @@ def write_view(results: Path, path: Path, accept: Sequence[str] = ()) -> None:
         raise InputError(
             f"{results}: is not a folder; give the --out folder of a command"
         )
+    if not summaries(results) and any(results.rglob("checkpoint.*")):
+        raise InputError(
+            f"{results}: holds a run that was cut off, and nothing to replay "
+            "yet; go on with it by --resume"
+        )
     # Neither half of the package loads the other one.
     if _holds_soles(results):
         from drake_exo.soles.animation import replay_soles as replay
