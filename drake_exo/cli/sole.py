@@ -12,6 +12,7 @@ from drake_exo.files.output import (
     OutputFolder,
     Progress,
     Verdict,
+    check_new,
     joined_mark,
     prepare_output_folder,
     stored,
@@ -319,8 +320,7 @@ def _reduce(args) -> int:
         raise InputError(f"{args.out}: give a .yaml file for --out")
     rows = args.out.with_suffix(".csv")
     for path in (args.out, rows):
-        if path.exists() and not args.force:
-            raise InputError(f"{path}: is there already; give --force")
+        check_new(path, args.force)
     if rows.exists() and not args.out.exists():
         raise InputError(
             f"{rows}: is not the table of an earlier law; give another name "

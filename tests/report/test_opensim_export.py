@@ -605,7 +605,7 @@ def test_what_cannot_be_carried_over_is_refused(case, tmp_path):
     with pytest.raises(InputError, match=r"is refused: it is not known"):
         export_opensim(one.folder, one.osim, tmp_path / "o.osim")
     one.export()
-    with pytest.raises(InputError, match=r"out.osim: exists already; say"):
+    with pytest.raises(InputError, match=r"out.osim: exists; choose another"):
         one.export()
     one.export(force=True)
     with pytest.raises(InputError, match=r"must end in .osim"):
