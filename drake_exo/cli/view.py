@@ -73,10 +73,6 @@ def write_view(results: Path, path: Path, accept: Sequence[str] = ()) -> None:
         InputError: there is nothing to replay, or it cannot be written.
     """
     results = Path(results)
-    if not results.is_dir():
-        raise InputError(
-            f"{results}: is not a folder; give the --out folder of a command"
-        )
     if not summaries(results) and any(results.rglob("checkpoint.*")):
         raise InputError(
             f"{results}: holds a run that was cut off, and nothing to replay "

@@ -229,7 +229,14 @@ def summaries(folder: Path) -> list[Path]:
     """Paths of `summary.json` of all results below a folder, sorted.
 
     Without those that a stopped run left in `NAME.partial`.
+
+    Raises:
+        InputError: there is no such folder.
     """
+    if not Path(folder).is_dir():
+        raise InputError(
+            f"{folder}: is not a folder; give the --out folder of a command"
+        )
     found = sorted(Path(folder).rglob("summary.json"))
     return [
         path
