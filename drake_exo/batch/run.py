@@ -417,9 +417,14 @@ def run_batch(
         done = _done(tasks, out)
         todo = [task for task in tasks if task.name not in done]
         if todo:  # before hours of work
-            for key in dict.fromkeys(k for v in batch.variants() for k in v):
+            swept = {k: {} for changes in batch.variants() for k in changes}
+            for task in tasks:
+                for key, value in task.changes.items():
+                    swept[key].setdefault(repr(value), []).append(task)
+            for key, values in swept.items():
                 check_key(file_class(is_sole(key)), key)
-                _check_place(key, tasks)
+                for having in values.values():
+                    _check_value(key, having)
             _check_options(batch, function_of(parse), path.parent)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from error
@@ -469,12 +474,11 @@ def _done(tasks: list[Task], out: Path) -> dict[str, Outcome]:
     }
 
 
-def _check_place(key: str, tasks: Sequence[Task]) -> None:
-    """Refuse a key that none of the files has, or can have with its value."""
-    wrong = {}
-    for task in tasks:
-        if key not in task.changes or task.source in wrong:
-            continue
+def _check_value(key: str, tasks: Sequence[Task]) -> None:
+    """Refuse a swept key's value that none of the tasks' files can have."""
+    wrong: list[InputError] = []
+    # Steps on one file differ in nothing that is read here.
+    for task in {(t.source, t.variant): t for t in tasks}.values():
         if task.source is None:  # a laboratory writes it first
             return
         cls, name = file_class(is_sole(key)), f"{task.source}, {task.variant}"
@@ -482,11 +486,10 @@ def _check_place(key: str, tasks: Sequence[Task]) -> None:
             text = changed_text(task.source, cls, task.changes, task.root)
             schema.load_text(text, cls, name)
         except InputError as error:
-            wrong[task.source] = error
+            wrong.append(error)
         else:
             return
-    if wrong:
-        raise next(iter(wrong.values()))
+    raise wrong[0]
 
 
 def _check_options(batch: BatchFile, parse: Callable, near: Path) -> None:

@@ -246,7 +246,7 @@ def test_what_no_task_could_use_is_told_once(tmp_path, capsys):
     key = "foot_ground.constants.stickiness"
     said = refused(f"steps: [check]\nsweep: {{{key}: [1]}}")
     assert "the law 'simbody' has no 'stickiness'; it has static_" in said
-    said = refused("steps: [check]\nsweep: {filter.order: [x]}")
+    said = refused("steps: [check]\nsweep: {filter.order: [2, x]}")
     assert "filter.order must be a whole number, but is 'x'" in said
 
 
