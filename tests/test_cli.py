@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -42,6 +43,23 @@ def test_ctrl_c_while_a_command_is_imported(modules, capsys):
 
     assert cli._run(parsed) == 130
     assert capsys.readouterr().err == "drake-exo: interrupted\n"
+
+
+@pytest.mark.parametrize(
+    ("resume", "more"),
+    [
+        (False, "; --resume goes on from what is kept"),
+        (None, ""),  # of soles, `--resume DIR`
+        (Path("x"), ""),
+    ],
+)
+def test_ctrl_c_outside_a_solve_tells_how_to_go_on(resume, more, capsys):
+    def run(args):
+        raise KeyboardInterrupt
+
+    args = argparse.Namespace(run=run, resume=resume)
+    assert cli._run(lambda: args) == 130
+    assert capsys.readouterr().err == f"drake-exo: interrupted{more}\n"
 
 
 @pytest.mark.parametrize("ignored", [False, True])

@@ -30,6 +30,7 @@ from drake_exo.calibration.settings import (
 )
 from drake_exo.calibration.wearers import Hold, Wearer
 from drake_exo.cli import main
+from drake_exo.cli.design import without_effect
 from drake_exo.contact.parameters import Posterior, nominal_contact
 from drake_exo.contact.strap import CuffDesign, Design, read_design
 from drake_exo.designed import Designed, Moved, Peak
@@ -831,6 +832,22 @@ def test_wrong_settings_are_one_sentence(text, said):
         schema.load_text(text, DesignSettings)
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ((1.7, (70.0, 10.0)), "height_m is 1.7; give mean and standard dev"),
+        (((1.7, 0.1), (70.0,)), r"mass_kg is \(70.0,\); give mean and"),
+        (
+            ((1.7, "a"), (70.0, 1.0)),
+            "height_m must be a number .m., but is 'a'",
+        ),
+    ],
+)
+def test_sizes_in_python_are_one_sentence_too(given, said):
+    with pytest.raises(InputError, match=said):
+        Population(*given)
+
+
 @pytest.mark.slow
 def test_a_population_that_bears_a_load_is_told_before_work(monkeypatch):
     """Solving the own movements comes after."""
@@ -847,6 +864,16 @@ def test_a_missing_calibration_is_one_sentence(capsys, tmp_path, data_root):
     path = data_root.parent / "nowhere.yaml"
     assert main(["design", str(path), "--out", str(tmp_path / "out")]) == 2
     assert "cannot be read" in capsys.readouterr().err
+
+
+def test_a_step_without_data_has_no_effect_on_a_design():
+    study = SimpleNamespace(name="anna", prediction=PredictionSettings())
+    assert without_effect(study) == []
+    study.prediction = PredictionSettings(ends="periodic")
+    assert (
+        "note  design.ends (anna, prediction.ends: periodic): has no effect, "
+        "nor has the step's speed" in Verdict((*without_effect(study),)).text()
+    )
 
 
 def test_a_wearer_given_twice_is_one_sentence(capsys, tmp_path):

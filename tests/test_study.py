@@ -307,6 +307,7 @@ def test_refuses(old, new, words, tmp_path):
     [
         ("{law: nowhere.yaml}", None, "nowhere.yaml: cannot be read"),
         ("{law: simbdy}", None, "simbody, paper or a .yaml"),
+        ("{law: }", None, "one of simbody, paper, but is empty"),
         ("{law: law.yaml, prior_weight: -1}", None, "prior_weight"),
         ("{law: law.yaml, constants: {static_friction: 1}}", None, "constants"),
         ("{sole_at_m: [0, 0]}", None, "sole_at_m"),

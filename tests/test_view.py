@@ -72,6 +72,24 @@ def test_bad_folder_ends_in_a_sentence(tmp_path, capsys, results, words):
     assert not out.exists()
 
 
+@pytest.mark.parametrize("command", ["report", "compare gone"])
+def test_a_folder_that_is_none_is_told_by_every_command(command, capsys):
+    assert main([*command.split(), "gone"]) == 2
+    assert "gone: is not a folder; give the --out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["checkpoint.json", "a/checkpoint.npz"])
+def test_a_run_that_was_cut_off_is_told(tmp_path, capsys, name):
+    """Of soles and of movements; results beside it are shown."""
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(b"")
+    said = refused(capsys, tmp_path, "--no-browser")
+    assert "holds a run that was cut off, and nothing to replay yet" in said
+    (tmp_path / "summary.json").write_text("{}")
+    assert "cut off" not in refused(capsys, tmp_path, "--no-browser")
+
+
 def test_bad_target_ends_in_a_sentence(folder, tmp_path, capsys):
     assert "folder" in refused(capsys, folder, "--out", tmp_path)
     missing = tmp_path / "no" / "page.html"

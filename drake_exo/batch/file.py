@@ -337,12 +337,12 @@ def _step(path: Path, key: str, place, part: str):
     if isinstance(place, list) and isinstance(index, int):
         if index < len(place):
             return place[index]
-        known = [str(k) for k in range(len(place))]
+        remedy = f"; the list has {len(place)} elements, the first is 0"
     else:
         known = list(map(str, place)) if isinstance(place, dict) else []
+        remedy = nearest(part, known) or "; give it in the file"
     raise InputError(
-        f"{path}: has no key {key!r} to sweep: {part!r} is unknown"
-        f"{nearest(part, known) or '; give it in the file'}"
+        f"{path}: has no key {key!r} to sweep: {part!r} is unknown{remedy}"
     )
 
 

@@ -417,10 +417,15 @@ def run_batch(
         done = _done(tasks, out)
         todo = [task for task in tasks if task.name not in done]
         if todo:  # before hours of work
-            for key in dict.fromkeys(k for v in batch.variants() for k in v):
+            swept = {k: {} for changes in batch.variants() for k in changes}
+            for task in tasks:
+                for key, value in task.changes.items():
+                    swept[key].setdefault(repr(value), []).append(task)
+            for key, values in swept.items():
                 check_key(file_class(is_sole(key)), key)
-                _check_place(key, tasks)
-            _check_options(batch, function_of(parse))
+                for having in values.values():
+                    _check_value(key, having)
+            _check_options(batch, function_of(parse), path.parent)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from error
     with _prepared(out, tasks):
@@ -469,27 +474,29 @@ def _done(tasks: list[Task], out: Path) -> dict[str, Outcome]:
     }
 
 
-def _check_place(key: str, tasks: Sequence[Task]) -> None:
-    """Refuse a key in a list or a named group that none of the files has."""
-    wrong = {}
-    for task in tasks:
-        if key not in task.changes or task.source in wrong:
-            continue
+def _check_value(key: str, tasks: Sequence[Task]) -> None:
+    """Refuse a swept key's value that none of the tasks' files can have."""
+    wrong: list[InputError] = []
+    # Steps on one file differ in nothing that is read here.
+    for task in {(t.source, t.variant): t for t in tasks}.values():
         if task.source is None:  # a laboratory writes it first
             return
-        cls, change = file_class(is_sole(key)), {key: task.changes[key]}
+        cls, name = file_class(is_sole(key)), f"{task.source}, {task.variant}"
         try:
-            changed_text(task.source, cls, change, task.root)
+            text = changed_text(task.source, cls, task.changes, task.root)
+            schema.load_text(text, cls, name)
         except InputError as error:
-            wrong[task.source] = error
+            wrong.append(error)
         else:
             return
-    if wrong:
-        raise next(iter(wrong.values()))
+    raise wrong[0]
 
 
-def _check_options(batch: BatchFile, parse: Callable) -> None:
-    """Refuse options that a command does not have."""
+def _check_options(batch: BatchFile, parse: Callable, near: Path) -> None:
+    """Refuse options that a command does not have, and a design that is none.
+
+    Paths in options start from the folder `near`.
+    """
     told = dict(batch.options)
     if batch.laboratories is not None:
         told[LAB] = batch.laboratories.options()
@@ -503,13 +510,21 @@ def _check_options(batch: BatchFile, parse: Callable) -> None:
                 contextlib.redirect_stderr(said),
                 contextlib.redirect_stdout(io.StringIO()),
             ):
-                parse(command)
+                args = parse(command)
         except SystemExit as error:
             text = said.getvalue().strip().splitlines()
             why = text[-1].rpartition("error: ")[2] if error.code else "help"
             raise InputError(
                 f"options of {step}: {why}; see 'drake-exo {step} --help'"
             ) from error
+        if getattr(args, "design", None) is not None:
+            from drake_exo.contact.strap import read_design
+
+            try:
+                with _in_folder(str(near)):
+                    read_design(args.design)
+            except InputError as error:
+                raise InputError(f"options of {step}: {error}") from error
 
 
 @contextlib.contextmanager

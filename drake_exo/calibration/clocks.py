@@ -32,6 +32,7 @@ from drake_exo.calibration.uncertainty import (
     posterior,
 )
 from drake_exo.contact.parameters import ContactModel, Posterior
+from drake_exo.errors import check_names
 from drake_exo.files.output import SOLVED, Check
 from drake_exo.measurement.trial import Trial
 from drake_exo.model.plant import Model
@@ -67,6 +68,9 @@ class Clock:
     system: str
     lag_s: float
     sd_s: float
+
+    def __post_init__(self):
+        check_names([self.system], CLOCKS)
 
     @property
     def half_width_s(self) -> float:

@@ -140,6 +140,23 @@ def _frames(trials: Iterable[Trial]) -> set[bytes]:
     return {f.tobytes() for t in trials for f in t.ground.force if f.any()}
 
 
+def _read_with(trials: Iterable[Trial]) -> dict[str, set[str]]:
+    """Setting of how forces and motion are read -> its values in trials."""
+    found: dict[str, set[str]] = {}
+    for said in (t.provenance for t in trials):
+        own = {f"filter.{k}": v for k, v in said.get("filter", {}).items()}
+        # An estimated lag is each recording's own.
+        if "forces" not in said.get("clocks", ()) and "force_delay_s" in said:
+            own["laboratory.force_delay_s"] = said["force_delay_s"]
+        for key, value in own.items():
+            found.setdefault(key, set()).add(str(value))
+    return found
+
+
+def _words(values: set[str]) -> str:
+    return " and ".join(sorted(values))
+
+
 def _checksum_of(trial: Trial) -> str:
     # Without the device's angles, which are shifted to the clock found.
     return checksum([trial.times, trial.body[0], trial.ground.array])
@@ -211,6 +228,12 @@ class _Stored:
                 self.jerk,
             ),
         )
+        for name, unit in self.contact.units().items():
+            if self.units.get(name, unit) != unit:
+                raise InputError(
+                    f"units: {name} is in {self.units[name]!r}, but is read in "
+                    f"{unit!r}; give it so"
+                )
 
     def _groups(self, names) -> dict[str, None]:
         """Spheres or cuffs (as keys) that have parameters of these names."""
@@ -289,7 +312,9 @@ class StoredCalibration:
         made_of, own = self.origin, self.own_check
         if made_of is None:
             return [own]
-        check = self._check
+        check, measured = self._check, self._measured
+        then, now = _read_with(measured), _read_with(trials)
+        differ = [k for k in now if k in then and then[k] != now[k]]
         return [
             own,
             check(
@@ -316,8 +341,17 @@ class StoredCalibration:
                 # be cut elsewhere from the same recording.
                 not {_checksum_of(t) for t in trials}
                 & set(made_of.data.values())
-                and not _frames(trials) & _frames(self._measured),
+                and not _frames(trials) & _frames(measured),
                 "it was calibrated on trials that it is to predict",
+                "note",
+            ),
+            check(
+                "settings",
+                not differ,
+                "it was calibrated on recordings read with "
+                + ", ".join(f"{k} {_words(then[k])}" for k in differ)
+                + ", but the study has "
+                + ", ".join(f"{k} {_words(now[k])}" for k in differ),
                 "note",
             ),
         ]

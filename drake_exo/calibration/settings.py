@@ -922,6 +922,14 @@ class Population:
     )
 
     def __post_init__(self):
+        for name, own in list(self.__dataclass_fields__.items())[:2]:
+            pair = getattr(self, name)
+            if not isinstance(pair, tuple | list) or len(pair) != 2:
+                raise InputError(
+                    f"{name} is {pair!r:.60}; give mean and standard deviation"
+                )
+            for value in pair:
+                check_bounds(name, value, own.metadata)
         if not self.percentiles:
             raise InputError(
                 "percentiles is empty; give at least one, or leave population "

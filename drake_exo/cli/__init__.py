@@ -203,7 +203,10 @@ def _run(parsed: Callable[[], argparse.Namespace]) -> int:
     except BaseException as error:
         if not was_interrupted(error):
             raise
-        print("drake-exo: interrupted", file=sys.stderr)
+        # `--resume DIR` of a sole is a path.
+        resumes = isinstance(getattr(args, "resume", None), bool)
+        told = "; --resume goes on from what is kept" if resumes else ""
+        print(f"drake-exo: interrupted{told}", file=sys.stderr)
         return 130
     print(f"drake-exo: error: {said}", file=sys.stderr)
     return 2

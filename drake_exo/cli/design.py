@@ -30,6 +30,7 @@ from drake_exo.report.gathering import format_table
 from drake_exo.study import (
     Calibration,
     RecordedStudy,
+    Study,
     calibrate_interaction,
     read_study,
 )
@@ -95,6 +96,7 @@ def run(args: argparse.Namespace) -> int:
     contacts: list[ContactModel | Calibration] = []
     for study in studies:
         checks += study.gate(use, args.accept)
+        checks += without_effect(study)
     for study, folder in zip(studies, args.calibration, strict=False):
         contact, made_of = study.calibrated(folder, args.accept)
         contacts.append(contact)
@@ -127,6 +129,22 @@ def run(args: argparse.Namespace) -> int:
         folder.end(STOPPED_CODE if stopped else verdict.exit_code)
     print(f"results in {folder.path}")
     return STOPPED_CODE if stopped else verdict.exit_code
+
+
+def without_effect(study: Study) -> list[Check]:
+    """A note where a study is to predict a step without data, else none."""
+    if study.prediction.ends == "measured":
+        return []
+    return [
+        Check(
+            "design.ends",
+            False,
+            where=f"{study.name}, prediction.ends: periodic",
+            sentence="has no effect, nor has the step's speed: a design is "
+            "made for the movements as they were recorded",
+            level="note",
+        )
+    ]
 
 
 def _laboratory(path: Path, study: RecordedStudy) -> dict:

@@ -15,7 +15,7 @@ from types import FunctionType
 
 from pydrake.systems.framework import System
 
-from drake_exo.calibration.audit import spread
+from drake_exo.calibration.audit import rmsd, spread
 from drake_exo.calibration.clocks import Clock, phase_checks
 from drake_exo.calibration.results import solve_summary, write_contact
 from drake_exo.calibration.solving import forget
@@ -274,7 +274,7 @@ def write_predictions(
         **_summary(study, found, trials, refused),
     }
     if not designed:
-        checks += [_accuracy(rmsd) for rmsd in summary["rmsd"]]
+        checks += [_accuracy(row) for row in summary["rmsd"]]
     verdict = Verdict(tuple(checks), tuple(accepted))
     summary |= verdict.summary()
     good = [
@@ -348,16 +348,16 @@ def load_controller(name: str | None) -> System | None:
     return found
 
 
-def _accuracy(rmsd: dict) -> Check:
+def _accuracy(row: dict) -> Check:
     """Whether a prediction's angles are near the measured ones."""
-    joint, off = max(rmsd["angles_deg"].items(), key=lambda item: item[1])
+    joint, off = max(row["angles_deg"].items(), key=lambda item: item[1])
     return Check(
         "accuracy",
         off <= _MISLEADING,
         off,
         _MISLEADING,
         "deg",
-        f"{rmsd['trial']}, {joint}",
+        f"{row['trial']}, {joint}",
         "the predicted angle differs this much (RMSD) from the measured one: "
         "the equations are solved, but the person moved in another way",
         "note",
@@ -376,7 +376,7 @@ def _summary(
         failed.append(str(refused))
     elif len(solves) < len(trials):
         failed.append(STOPPED_BY_USER)
-    # On the clocks that were found, as the RMSD.
+    # On the clocks that were found.
     timed = [p.timed(t) for p, t in zip(found, trials, strict=False)]
     total = {
         key: sum(s[key] for s in solves)
@@ -400,7 +400,7 @@ def _summary(
         "settings": asdict(study.prediction),
         "parameters": [],
         "rmsd": [
-            p.rmsd(t) for p, t in zip(found, trials, strict=False) if p.success
+            rmsd(p, t) for p, t in zip(found, timed, strict=True) if p.success
         ],
         "measured_sd": spread(
             [*timed, *trials[len(timed) :]], study.model.tree

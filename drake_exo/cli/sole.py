@@ -8,10 +8,12 @@ from drake_exo import soles
 from drake_exo.cli import add_accept, add_out, count, positive
 from drake_exo.errors import InputError
 from drake_exo.files.output import (
+    NOT_SOLVED_CODE,
     STOPPED_CODE,
     OutputFolder,
     Progress,
     Verdict,
+    check_new,
     joined_mark,
     prepare_output_folder,
     stored,
@@ -205,17 +207,19 @@ def _simulate(args) -> int:
     seconds = {"mesh_seconds": round(time.perf_counter() - began, 4)}
     tets, samples = len(case.mesh.tets), len(case.load.times)
     progress = _progress(case.name, samples)
-    with _out_of(args, case) as out:
+    folder = _out_of(args, case)
+    with folder as out:
         # A fine mesh takes a minute before its first sample.
         print(f"{case.name}: {tets} tets, {samples} samples", flush=True)
         step = case.simulate(lambda done, _: progress.update("samples", done))
         verdict = step.write(out, seconds, args.accept)
+        folder.end(verdict.exit_code)
     print(
         f"{case.name}: c_tr {step.c_tr:.4g} N/m, c_rot {step.c_rot:.4g} "
         f"N·m/rad, c {step.c:.4g}"
     )
     print(verdict.text())
-    print(f"{case.name}: results in {args.out}")
+    print(f"{case.name}: results in {folder.path}")
     return verdict.exit_code
 
 
@@ -225,7 +229,8 @@ def _optimize(args) -> int:
     say = _progress(case.name).update
     # A bad one is refused before a folder is made.
     resume = read_checkpoint(args.resume) if args.resume else None
-    with _out_of(args, case) as out:
+    folder = _out_of(args, case)
+    with folder as out:
         try:
             design = case.optimize(out, say, resume, args.jobs)
             row = design.write(out, say, args.accept)
@@ -235,10 +240,11 @@ def _optimize(args) -> int:
                 way = f"go on with --resume {out} and another --out"
             print(f"{case.name}: stopped; {way}", flush=True)
             raise
-    verdict = stored(row)
+        verdict = stored(row)
+        folder.end(verdict.exit_code)
     print(paper.line(row))
     print(verdict.text())
-    print(f"{case.name}: results in {args.out}")
+    print(f"{case.name}: results in {folder.path}")
     return verdict.exit_code
 
 
@@ -248,12 +254,14 @@ def _study(args) -> int:
         args.data_root, args.mesh, args.coarse, args.limits, args.iterations
     )
     print(f"load: {study.source}")
-    with prepare_output_folder(args.out, args.force, reads=[args.mesh]) as out:
+    folder = prepare_output_folder(args.out, args.force, reads=[args.mesh])
+    with folder as out:
         verdict, text = study.run(out, args.jobs, args.front, args.accept)
         print(text)
         print(paper.report(out, soles.find_designs(out), out))
+        folder.end(verdict.exit_code)
     print(verdict.text())
-    print(f"results in {args.out}")
+    print(f"results in {folder.path}")
     return verdict.exit_code
 
 
@@ -299,15 +307,18 @@ def _strain(args) -> int:
         setups, mark = [_read_case(args, args.source)], ""
         if args.out is None:
             raise InputError("sole strain: give --out with a case file")
-    with _out_or_source(args, strains.TABLE) as out:
+    folder = _out_or_source(args, strains.TABLE)
+    with folder as out:
         found = {
             s.name: soles.compare_strains(s, _progress(s.name).update)
             for s in setups
         }
         print(strains.write_table(out, found, mark))
         _note(out, found)
-    print(f"results in {args.out or args.source}")
-    return 1 if any(sole["failures"] for sole in found.values()) else 0
+        failed = any(sole["failures"] for sole in found.values())
+        folder.end(NOT_SOLVED_CODE if failed else 0)
+    print(f"results in {folder.path}")
+    return NOT_SOLVED_CODE if failed else 0
 
 
 def _reduce(args) -> int:
@@ -319,8 +330,7 @@ def _reduce(args) -> int:
         raise InputError(f"{args.out}: give a .yaml file for --out")
     rows = args.out.with_suffix(".csv")
     for path in (args.out, rows):
-        if path.exists() and not args.force:
-            raise InputError(f"{path}: is there already; give --force")
+        check_new(path, args.force)
     if rows.exists() and not args.out.exists():
         raise InputError(
             f"{rows}: is not the table of an earlier law; give another name "

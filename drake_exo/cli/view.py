@@ -19,7 +19,7 @@ from pathlib import Path
 
 from drake_exo.cli import add_accept, add_out
 from drake_exo.errors import InputError
-from drake_exo.files.output import read_json, summaries
+from drake_exo.files.output import check_new, read_json, summaries
 
 REPLAY = "replay.html"
 
@@ -73,9 +73,10 @@ def write_view(results: Path, path: Path, accept: Sequence[str] = ()) -> None:
         InputError: there is nothing to replay, or it cannot be written.
     """
     results = Path(results)
-    if not results.is_dir():
+    if not summaries(results) and any(results.rglob("checkpoint.*")):
         raise InputError(
-            f"{results}: is not a folder; give the --out folder of a command"
+            f"{results}: holds a run that was cut off, and nothing to replay "
+            "yet; go on with it by --resume"
         )
     # Neither half of the package loads the other one.
     if _holds_soles(results):
@@ -114,11 +115,7 @@ def _check_target(path: Path, force: bool) -> None:
     if path.is_dir() or path.suffix.lower() != ".html":
         what = "a folder" if path.is_dir() else "no page"
         raise InputError(f"{path}: is {what}; give a .html file for --out")
-    if path.exists() and not force:
-        raise InputError(
-            f"{path}: exists; choose another file for --out, or replace it "
-            "with --force"
-        )
+    check_new(path, force)
 
 
 class _Silent(SimpleHTTPRequestHandler):

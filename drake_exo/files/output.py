@@ -212,11 +212,31 @@ def _beside(target: Path) -> Path:
     return named.with_name(whole.name + _PARTIAL)
 
 
+def check_new(path: Path, force: bool) -> None:
+    """Refuse a file that exists as --out, unless `force` replaces it.
+
+    Raises:
+        InputError: it exists and `force` is not set.
+    """
+    if path.exists() and not force:
+        raise InputError(
+            f"{path}: exists; choose another file for --out, or replace it "
+            "with --force"
+        )
+
+
 def summaries(folder: Path) -> list[Path]:
     """Paths of `summary.json` of all results below a folder, sorted.
 
     Without those that a stopped run left in `NAME.partial`.
+
+    Raises:
+        InputError: there is no such folder.
     """
+    if not Path(folder).is_dir():
+        raise InputError(
+            f"{folder}: is not a folder; give the --out folder of a command"
+        )
     found = sorted(Path(folder).rglob("summary.json"))
     return [
         path

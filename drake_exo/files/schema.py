@@ -277,22 +277,24 @@ class _Item:
             at = items.get(named, [None])[0]
             raise self.error(f"{where}{error}", at) from error
 
-    def _union(self, options: Sequence) -> Any:
-        if _is_null(self.node) and type(None) in options:
+    def _union(self, of: Sequence) -> Any:
+        if _is_null(self.node) and type(None) in of:
             return None
-        options = [o for o in options if o is not type(None)]
+        options = [o for o in of if o is not type(None)]
         errors = []
         for option in options:
             try:
                 return self.read(option)
             except InputError as error:
                 errors.append(error)
+        if len(options) < len(of) and self.node.value in ("none", "None"):
+            raise self.error(f"{self.where} is {self.node.value!r}; write null")
         # Report the error of the option that was meant: a dataclass if the
-        # node is a mapping, a sequence if it is a list.
+        # node is a mapping, a sequence if it is a list, the first if empty.
         fitting = [
             e
             for e, o in zip(errors, options, strict=True)
-            if _same_shape(self.node, o)
+            if _is_null(self.node) or _same_shape(self.node, o)
         ]
         raise (fitting or errors)[0]
 

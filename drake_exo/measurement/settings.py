@@ -666,7 +666,10 @@ class TrialFiles:
         ):
             if event is None:
                 continue
-            event_of(event)
+            try:
+                event_of(event)
+            except InputError as error:
+                raise InputError(f"{key}: {error}") from error
             if seconds is not None:
                 raise InputError(
                     f"{key} and {time} both say where the used part "

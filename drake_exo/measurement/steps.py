@@ -119,7 +119,7 @@ def recorded_step(
         each = [level(time, w, 2, LARGEST_FOOT_N)[0] for w in each]
     time = time - lab.force_delay_s
     found = contacts(time, sum(each)[:, 2], least_force_n)
-    contact = _chosen(found, start, end, number, where)
+    contact = _chosen(found, start, end, number, where, least_force_n)
     first, last = _part(contact, start, end)
     used = _one_plate(time, each, (first, last), files.plates.of(foot), where)
     height = _surface(plates[used], each[used], lab.force_axes)
@@ -157,7 +157,7 @@ def _part(contact: Contact, start: Begin, end: End) -> tuple[float, float]:
     return first, contact.end_s if isinstance(end, str) else end
 
 
-def _chosen(every, start, end, number, where) -> Contact:
+def _chosen(every, start, end, number, where, least_n) -> Contact:
     def is_whole(c):
         begins = c.begins or not isinstance(start, str)
         return begins and (c.ends or not isinstance(end, str))
@@ -172,8 +172,9 @@ def _chosen(every, start, end, number, where) -> Contact:
     found = "; ".join(map(str, every)) or "none"
     raise InputError(
         f"{where}: there is no step {number} (counted from 0) from {start} to "
-        f"{end}; contacts found: {found}; name another trial or foot, or give "
-        "from and to as times within one of them [s]"
+        f"{end}; contacts found: {found}, of {least_n:g} N or more "
+        "(least_force_n); name another trial or foot, or give from and to as "
+        "times within one of them [s]"
     )
 
 

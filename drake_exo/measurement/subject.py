@@ -157,8 +157,9 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
         if person is None
         else _as_modelled(person.human, mass, markers, poses)
     )
-    human = with_overrides(human, settings.subject.segments, "subject.segments")
-    _check_centres(settings.subject.segments, human)
+    own, where = settings.subject.segments, f"{standing.source}: subject"
+    human = with_overrides(human, own, f"{where}.segments")
+    _check_centres(own, human, where)
     model = _with_device(settings, human)
     if settings.device is not None:
         settings.device.check(model.coordinates)
@@ -404,7 +405,9 @@ def _raised(human: HumanParameters, ankle_height: float) -> HumanParameters:
     )
 
 
-def _check_centres(given: HumanOverrides, human: HumanParameters) -> None:
+def _check_centres(
+    given: HumanOverrides, human: HumanParameters, where: str
+) -> None:
     """Refuse a given centre of mass that is not in its segment.
 
     That of a limb or trunk lies between its ends, near the line of its joints.
@@ -416,7 +419,7 @@ def _check_centres(given: HumanOverrides, human: HumanParameters) -> None:
         length = getattr(human, name).length_m
         if not (abs(x) <= 0.25 * length and 0.0 <= z <= length):
             raise InputError(
-                f"subject.segments.{name}.com_m is [{x:g}, {z:g}], which is "
+                f"{where}.segments.{name}.com_m is [{x:g}, {z:g}], which is "
                 f"not in the {name}, {length:.3g} m long; give [x, z] in m, x "
                 "forward and z up from its lower joint"
             )
@@ -442,8 +445,9 @@ def _over_the_cop(settings, model: Model, q, wrench, report) -> HumanParameters:
     """Shift the trunk's CoM fore-aft until the body's is above the CoP."""
     if wrench is None:
         raise InputError(
-            "scaling.trunk_com is 'standing', which needs standing.forces "
-            "and standing.plates; add them or say 'table'"
+            f"{settings.standing.markers}: scaling.trunk_com is 'standing', "
+            "which needs standing.forces and standing.plates; add them or say "
+            "'table'"
         )
     human, tree = model.human, model.rigid.tree
     gap = wrench.cop_x[0] - tree.center_of_mass(q)[0, 0]

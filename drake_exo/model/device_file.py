@@ -18,7 +18,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointIndex, ModelInstanceIndex
 
-from drake_exo.errors import InputError, first_line
+from drake_exo.errors import InputError, first_line, nearest
 from drake_exo.files.tables import kind_of, read_text
 from drake_exo.model.assembly import Assembly, DeviceFile, Weld
 from drake_exo.model.description import numbers
@@ -144,6 +144,10 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
             f"{where}: has no mass or not all moments of inertia; give mass, "
             "ixx, iyy and izz, zeros if it weighs nothing"
         )
+    tags = [part.tag for part in link]
+    meant = {tag for tag in tags if nearest("inertial", [tag])}
+    if meant and "inertial" not in tags:
+        yield f"{where}: <{min(meant)}> is not read; is it <inertial>?"
     inertia = link.find("inertial/inertia")
     if inertia is None:
         inertia = ET.Element("inertia")  # a point mass, or massless

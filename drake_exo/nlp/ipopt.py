@@ -218,6 +218,8 @@ class Solution:
         if worst:
             return f"Worst constraints (scaled): {worst}."
         remedy = "resume" if self.was_stopped else "allow more iterations"
+        if self.status == _STATUS[-13]:
+            remedy = "look for settings far from the usual, as a noise near 0"
         return (
             "All constraints hold: the point is feasible but not yet optimal; "
             f"{remedy}."

@@ -31,7 +31,13 @@ from drake_exo.errors import InputError
 from drake_exo.files import osim as xml
 from drake_exo.files.opensim import write_table
 from drake_exo.files.osim import OsimModel, Pose, read_osim
-from drake_exo.files.output import SOLVED, Verdict, read_json, stored
+from drake_exo.files.output import (
+    SOLVED,
+    Verdict,
+    check_new,
+    read_json,
+    stored,
+)
 from drake_exo.files.tables import Table
 from drake_exo.measurement.sagittal import external_loads
 from drake_exo.measurement.trial import Trial
@@ -499,19 +505,21 @@ def export_opensim(
             f"{out}: --out would replace the model that it is made of; "
             "choose another file"
         )
-    trials = [
-        read_trial(folder, path.stem.removeprefix("solution_"), accept=[SOLVED])
-        for path in sorted(folder.glob("solution_*.npz"))
-    ]
+    # By both of a trial's files, so that one that is missing is told.
+    stems = {
+        path.stem.removeprefix("solution_")
+        for path in folder.glob("solution_*")
+        if path.suffix in (".npz", ".json")
+    }
+    trials = [read_trial(folder, s, accept=[SOLVED]) for s in sorted(stems)]
     names = [
         f"{out.stem}_{trial.name}_{what}.sto"
         for trial in trials
         for what in ("states", "ground_forces")
     ]
     files = (out, *(out.with_name(name) for name in names))
-    there = [path for path in files if path.exists()]
-    if there and not force:
-        raise InputError(f"{there[0]}: exists already; say --force to replace")
+    for path in files:
+        check_new(path, force)
     who = model.assembly.human
     person = read_person(model_file, who, model.human.height_m)
     mass, shift = _carried(folder, model, person)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_bounds
 from drake_exo.files.opensim import read_table
 from drake_exo.files.schema import exactly_one, positive, quantity
 from drake_exo.files.tables import COP_THRESHOLD_N, between, missing_column
@@ -98,6 +98,12 @@ class ForcePlate:
     yaw_rad: float = angle()
     least_force_n: float = positive("N", COP_THRESHOLD_N)
 
+    def __post_init__(self):
+        if self.end_s < self.start_s:
+            raise InputError(
+                f"end_s ({self.end_s:g}) is before start_s ({self.start_s:g})"
+            )
+
     def load(self, root: Path) -> Load:
         """Read the load; `file` is relative to `root`."""
         path, prefix = root / self.file, self.prefix
@@ -114,7 +120,8 @@ class ForcePlate:
         keep = _loaded(
             F[:, 2], self.least_force_n,
             f"{path}: {prefix} carries less than {self.least_force_n:g} N "
-            f"from {self.start_s:g} to {self.end_s:g} s; choose another window",
+            f"from {self.start_s:g} to {self.end_s:g} s; choose another window "
+            "or a lower least_force_n",
         )  # fmt: skip
         load = Load(
             time[rows][keep],
@@ -379,6 +386,10 @@ class LoadBlock:
 
     def __post_init__(self):
         exactly_one(self, (*_FILES, "recording"))
+        for name in ("begin", "end"):
+            (of,) = (f for f in fields(self) if f.name == name)
+            if (value := getattr(self, name)) != of.default:
+                check_bounds(of.metadata["key"], value, of.metadata)
         if self.recording is None:
             given = [
                 f.metadata.get("key", f.name)

@@ -310,6 +310,11 @@ class Settings:
     def __post_init__(self):
         if (self.load is None) == (not self.loads):
             raise InputError("give either load, or loads as a list of such")
+        if self.load is not None and self.load.weight != 1.0:
+            raise InputError(
+                f"load.weight is {self.load.weight:g}, but a single load is "
+                "weighed against no other; leave it out, or give several loads"
+            )
         for k, block in enumerate(self.all_loads):
             free = block.pattern is not None and block.pattern.free
             if free and (self.loads or block.straight):

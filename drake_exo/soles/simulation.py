@@ -512,7 +512,10 @@ def read_history(path: Path, remedy: str):
     if "friction" in data:
         history.friction = float(data["friction"])
     good = history.converged
-    values = (nodes, *(data[n][good] for n in ("times", *names)))
+    values = (
+        *(nodes, data.get("friction", 0.0)),
+        *(data[n][good] for n in ("times", *names)),
+    )
     if not all((np.abs(x) < _LARGEST).all() for x in values):
         raise InputError(f"{path}: holds gaps; {remedy}")
     is_sound = tets.size and tets.min() >= 0 and tets.max() < len(nodes)

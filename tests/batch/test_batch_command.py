@@ -208,8 +208,9 @@ def test_a_bad_batch_file_ends_with_two(tmp_path, capsys):
         "sweep: {trials.3.use: [prediction]}",
     )
     assert main(["batch", str(path), "--out", str(out)]) == 2
-    assert "a.yaml: has no key 'trials.3.use' to sweep: '3' is unknown" in (
-        capsys.readouterr().err
+    assert (
+        "a.yaml: has no key 'trials.3.use' to sweep: '3' is unknown; the list "
+        "has 3 elements, the first is 0" in capsys.readouterr().err
     )
     assert not out.exists()
     text = study.read_text("utf-8")
@@ -222,6 +223,31 @@ def test_a_bad_batch_file_ends_with_two(tmp_path, capsys):
     write(path, "steps: [check]\nlaboratories: {seeds: [1]}")
     assert main(["batch", str(path), "--out", str(tmp_path / "other")]) == 2
     assert "is not a batch" in capsys.readouterr().err
+
+
+def test_what_no_task_could_use_is_told_once(tmp_path, capsys):
+    study = Path(__file__).parents[1] / "studies" / "opencap_sts1.yaml"
+    shutil.copy(study, tmp_path / "a.yaml")
+    path, out = tmp_path / "batch.yaml", tmp_path / "out"
+
+    def refused(text):
+        write(path, f"studies: [a.yaml]\n{text}")
+        assert main(["batch", str(path), "--out", str(out)]) == 2
+        assert not out.exists()
+        return capsys.readouterr().err
+
+    said = refused(
+        "steps: [calibrate, predict]\noptions: {predict: [--design, best]}"
+    )
+    assert (
+        "batch.yaml: options of predict: best: cannot be read (No such file or "
+        "directory); check the path" in said
+    )
+    key = "foot_ground.constants.stickiness"
+    said = refused(f"steps: [check]\nsweep: {{{key}: [1]}}")
+    assert "the law 'simbody' has no 'stickiness'; it has static_" in said
+    said = refused("steps: [check]\nsweep: {filter.order: [2, x]}")
+    assert "filter.order must be a whole number, but is 'x'" in said
 
 
 _FULL = """

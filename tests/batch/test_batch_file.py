@@ -1,5 +1,8 @@
 """What a batch file may say, and which tasks come of it."""
 
+import dataclasses
+import re
+import typing
 from dataclasses import fields
 from pathlib import Path
 
@@ -339,6 +342,25 @@ def test_keys_that_are_none(tmp_path):
     path.write_text(STUDY)
     with pytest.raises(InputError, match=r"has no key .trials\.1\.use"):
         changed_text(path, StudyFile, {"trials.1.use": "prediction"})
+
+
+def named_groups(cls, place=""):
+    """Dotted keys of the groups in a study whose names are the user's."""
+    for key, hint in schema.keys(cls).items():
+        for option in (hint, *typing.get_args(hint)):
+            if dataclasses.is_dataclass(option):
+                yield from named_groups(option, f"{place}{key}.")
+        values = typing.get_args(hint)[-1:]
+        if typing.get_origin(hint) is dict and any(
+            map(dataclasses.is_dataclass, values)
+        ):
+            yield f"{place}{key}.NAME"
+
+
+def test_the_page_lists_every_group_with_a_name():
+    page = Path(__file__).parents[2] / "docs" / "batches.md"
+    told = re.findall(r"`([\w.]+\.NAME)`", page.read_text("utf-8"))
+    assert set(told) == set(named_groups(StudyFile))
 
 
 def test_case_files_too(tmp_path):

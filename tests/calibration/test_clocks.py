@@ -29,6 +29,7 @@ from drake_exo.calibration.uncertainty import QUANTILE_95
 from drake_exo.cli.predict import _summary
 from drake_exo.contact.parameters import Posterior
 from drake_exo.contact.reduction import SoleLaw, SoleSphere
+from drake_exo.errors import InputError
 from drake_exo.files.output import Verdict
 from drake_exo.measurement.trial import CuffForce, Trial
 from drake_exo.report.gathering import clocks_table
@@ -74,6 +75,11 @@ def known_of(trial, encoders, pressure, sd=0.004):
     names = (f"{trial.name}.encoder_clock", "other", f"{trial.name}.mat_clock")
     values = np.array([encoders, 7.0, pressure])
     return Posterior(names, values, np.diag([sd**2, 9.0, (3.0 * sd) ** 2]))
+
+
+def test_a_clock_of_no_system_is_refused():
+    with pytest.raises(InputError, match="no 'mats'; there are encoders, pres"):
+        Clock("rise1", "mats", 0.0, 0.01)
 
 
 def test_a_clock_is_what_was_taken_out_and_what_was_left(in_device):

@@ -1,5 +1,6 @@
 """Results on disk: what one phase writes, the next one reads."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -232,6 +233,53 @@ def test_a_calibration_of_another_is_told(in_device, tmp_path):
     assert note.level == "note"
     moved = replace(own[0], q=own[0].q + 0.01)
     assert _failing(found, in_device, of=[moved]) == []
+
+
+def test_parameters_in_another_unit_are_refused(in_device, tmp_path):
+    _stored(in_device, tmp_path)
+    path = tmp_path / "parameters.json"
+    found = json.loads(path.read_text())
+    name = next(n for n, unit in found["units"].items() if unit == "N/m")
+    found["units"][name] = "kN/m"
+    path.write_text(json.dumps(found))
+    with pytest.raises(
+        InputError, match=rf"units: {name} is in 'kN/m', but is read in 'N/m'"
+    ):
+        read_calibration(tmp_path)
+
+
+def test_recordings_read_in_another_way_are_told(in_device, tmp_path):
+    found = _stored(in_device, tmp_path)
+
+    def read(trial, lag_s=0.0, cutoff_hz=6.0, clocks=()):
+        said = {"kind": "Butterworth, zero lag", "cutoff_hz": cutoff_hz}
+        provenance = {"filter": said, "force_delay_s": lag_s}
+        provenance["clocks"] = dict.fromkeys(clocks, "estimated")
+        moved = replace(trial, q=trial.q + 0.01)
+        ground = PlanarWrench.of(1.01 * trial.ground.array)
+        return replace(moved, ground=ground, provenance=provenance)
+
+    first, *_ = in_device.trials
+    replace(first, provenance=read(first).provenance).save(
+        tmp_path / f"measured_{first.name}"
+    )
+    for same in ({}, {"lag_s": 0.003, "clocks": ["forces"]}):
+        assert _failing(found, in_device, of=[read(first, **same)]) == []
+    unknown = replace(read(first), provenance={})
+    assert _failing(found, in_device, of=[unknown]) == []
+    (note,) = (
+        c
+        for c in found.checks(
+            "one", in_device.model, "simbody", [read(first, 0.02, 10.0)]
+        )
+        if not c.holds
+    )
+    assert (note.name, note.level) == ("provenance.settings", "note")
+    assert note.sentence == (
+        "it was calibrated on recordings read with filter.cutoff_hz 6.0, "
+        "laboratory.force_delay_s 0.0, but the study has filter.cutoff_hz "
+        "10.0, laboratory.force_delay_s 0.02"
+    )
 
 
 def test_a_part_of_a_calibration_trial_is_not_unseen(in_device, tmp_path):

@@ -173,6 +173,8 @@ def test_the_command_writes_law_and_samples(tmp_path, capsys):
     with pytest.raises(InputError, match="cannot be written"):
         found.write(out / "law.yaml")
     assert cli.main(argv) == 2
+    said = capsys.readouterr().err
+    assert f"{out}: exists; choose another file for --out, or replace" in said
     assert (
         cli.main(["sole", "reduce", "nowhere", "--out", str(out), "--force"])
         == 2

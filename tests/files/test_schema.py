@@ -104,6 +104,28 @@ def test_defaults_and_null():
     assert study == Study(Subject("x", 1.0))
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("1e-1", "none", "study.yaml:9: start_s is 'none'; write null"),
+        # Not where a word may stand, nor where null may not.
+        ("name: S4", "name: none", None),
+        (
+            "mass_kg: 60",
+            "mass_kg: none",
+            "must be a number [kg], but is 'none'",
+        ),
+        ("{length_m: 0.3}", "none", "filter must be a number, but is 'none'"),
+    ],
+)
+def test_none_is_told_to_be_null(old, new, told):
+    text = GOOD.replace(old, new)
+    if told is None:
+        assert schema.load_text(text, Study).subject.name == "none"
+    else:
+        assert told in changed(old, new)
+
+
 def test_dump_reads_back():
     study = schema.load_text(GOOD, Study)
     assert schema.load_text(schema.dump_text(study), Study) == study

@@ -264,9 +264,9 @@ def test_a_part_is_of_one_contact(start, end, number, chosen):
     every = [Contact(*at, True, True) for at in times]
     if chosen is None:
         with pytest.raises(InputError, match="times within one of them"):
-            _chosen(every, start, end, number, "walk")
+            _chosen(every, start, end, number, "walk", 20.0)
     else:
-        found = _chosen(every, start, end, number, "walk")
+        found = _chosen(every, start, end, number, "walk", 20.0)
         assert found is every[chosen]
 
 
@@ -288,7 +288,10 @@ BAD = {
         {"second": 0.5}, ("walk", "left"), "plates 1 and 2 .from 0.50 s on",
     ),
     "no such trial": ({}, ("run", "left"), "none of the study's .walk."),
-    "never loaded": ({}, ("walk", "right"), "contacts found: none"),
+    "never loaded": (
+        {}, ("walk", "right"),
+        r"contacts found: none, of 20 N or more \(least_force_n\)",
+    ),
 }  # fmt: skip
 
 

@@ -103,10 +103,13 @@ def test_an_event_that_is_not_there_is_named(walk, window, sentence):
 @pytest.mark.parametrize(
     "text, sentence",
     [
-        ("from: heel_strike both 1", "'heel_strike both 1' is not an event"),
+        (
+            "from: heel_strike both 1",
+            "from: 'heel_strike both 1' is not an event",
+        ),
         ("from: heel_strike left", "as in 'heel_strike right 1'"),
         ("to: toe_off left 0", "which from 1"),
-        ("to: toe_off left 1 2", "is not an event"),
+        ("to: toe_off left 1 2", "to: 'toe_off left 1 2' is not an event"),
         ("from: toe_off left 1", "from and start_s both say where"),
         ("to: toe_off left 1", "to and end_s both say where"),
     ],

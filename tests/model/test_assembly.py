@@ -370,6 +370,28 @@ def test_what_is_fixed_to_a_strapped_link_moves_with_it():
     assert model.coordinates.turned_by.tolist() == [[1.0, 0.0, 0.0]]
 
 
+def test_a_misspelt_inertial_is_told():
+    """Drake skips it, and a link that is welded on may weigh nothing."""
+    plate = (
+        '<joint name="glue" type="fixed"><parent link="calf"/>'
+        '<child link="plate"/></joint><link name="plate">{}<visual/></link>'
+        "</robot>"
+    )
+    own = '<mass value="1"/><inertia ixx="1" iyy="1" izz="1"/>'
+    lost, kept, none = (
+        edited(ANKLE, ("</robot>", plate.format(more)))
+        for more in (
+            f"<inertail>{own}</inertail>",
+            f"<inertial>{own}</inertial>",
+            "",
+        )
+    )
+    assert lost.tree.mass == pytest.approx(kept.tree.mass - 1.0)
+    (note,) = lost.assembly.device.notes
+    assert "link 'plate': <inertail> is not read; is it <inertial>?" in note
+    assert kept.assembly.device.notes == none.assembly.device.notes == ()
+
+
 def test_products_of_inertia_that_no_body_has_are_left_out():
     old = 'ixx="0.02" iyy="0.02" izz="0.006" ixy="0" ixz="0"'
     new = old.replace('ixz="0"', 'ixz="0.05"')

@@ -138,6 +138,8 @@ def test_constraints_off_by_rounding_are_not_blamed():
     assert "allow more iterations" in failed.explain()
     failed.status = ipopt.STOPPED_BY_USER
     assert "not yet optimal; resume." in failed.explain()
+    failed.status = "invalid number: a function returned NaN or infinity"
+    assert "far from the usual, as a noise near 0." in failed.explain()
 
 
 def test_a_second_strategy_is_tried_when_the_first_fails():

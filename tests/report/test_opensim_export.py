@@ -605,7 +605,7 @@ def test_what_cannot_be_carried_over_is_refused(case, tmp_path):
     with pytest.raises(InputError, match=r"is refused: it is not known"):
         export_opensim(one.folder, one.osim, tmp_path / "o.osim")
     one.export()
-    with pytest.raises(InputError, match=r"out.osim: exists already; say"):
+    with pytest.raises(InputError, match=r"out.osim: exists; choose another"):
         one.export()
     one.export(force=True)
     with pytest.raises(InputError, match=r"must end in .osim"):
@@ -623,6 +623,14 @@ def test_what_cannot_be_carried_over_is_refused(case, tmp_path):
     write_model(one.folder, plain)
     with pytest.raises(InputError, match=r"was not read from an OpenSim model"):
         one.export("b.osim")
+
+
+@pytest.mark.slow
+def test_a_movement_that_is_gone_is_told(case):
+    one = case("alone")
+    (one.folder / "solution_a.npz").unlink()
+    with pytest.raises(InputError, match=r"solution_a.npz: cannot be read"):
+        one.export()
 
 
 @pytest.mark.slow

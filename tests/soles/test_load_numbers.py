@@ -10,6 +10,7 @@ from drake_exo.soles.load_blocks import (
     Constant,
     Csv,
     ForcePlate,
+    LoadBlock,
     OneFoot,
     Playback,
     share_double_support,
@@ -316,6 +317,12 @@ def test_a_plate_of_opensim_is_turned_upright(tmp_path):
     np.testing.assert_allclose(turned.load(tmp_path).zmp, wanted.zmp)
     with pytest.raises(InputError, match=r"less than 20 N from 0\.6 to 0\.7"):
         ForcePlate("grf.mot", "p", 0.6, 0.7, (0.0, 0.0)).load(tmp_path)
+    with pytest.raises(InputError, match="or a lower least_force_n"):
+        ForcePlate(
+            "grf.mot", "p", 0.2, 0.6, (0.0, 0.0), least_force_n=2000.0
+        ).load(tmp_path)
+    with pytest.raises(InputError, match=r"end_s \(0.2\) is before start_s"):
+        ForcePlate("grf.mot", "p", 0.6, 0.2, (0.0, 0.0))
 
 
 # Both feet of a walk: 0 both, 1 left, 2 right.
@@ -439,3 +446,16 @@ def test_a_load_keeps_its_numbers():
     load = Load([0.0, 0.1], force, _ZMP)
     force[:] = 0.0
     assert (load.force[:, 2] == 300.0).all()
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"begin": "x"}, "from must be a number .s., but is 'x'"),
+        ({"end": float("nan")}, "to is nan, but must be a finite number"),
+        ({"begin": "x", "end": "y"}, "from must be a number"),
+    ],
+)
+def test_a_part_of_a_recording_is_numbers_or_events(given, said):
+    with pytest.raises(InputError, match=said):
+        LoadBlock(recording="a.yaml", trial="walk", foot="left", **given)

@@ -70,6 +70,7 @@ def test_a_measured_pose_keeps_roll_and_pitch_and_the_sole_s_yaw():
          "zmp_m: [0, 0]}\n", "trial belongs to a recording"),
         ("left\n", "left\n  pose: measured\n  straight: true\n", "exclude"),
         ("left\n", "left\n  from: 1 s\n", "load.from must be"),
+        ("left\n", "left\n  weight: 2\n", "load.weight is 2, but a single"),
         ("left\n", "left\n  begin: 1\n", "'begin'"),
         ("left\n", "left\n  from: 0.7\n  to: 0.6\n",
          r":10: load: from 0\.7 s has to be before to 0\.6 s"),

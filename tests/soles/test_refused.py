@@ -439,6 +439,23 @@ def test_ctrl_c_says_how_an_optimisation_goes_on(case, monkeypatch, capsys):
 
 
 @pytest.mark.slow
+def test_a_step_without_any_solution_replaces_none(case, capsys):
+    """As for the commands on movements: its results go beside."""
+    out = case / "out"
+    words = ["sole", "simulate", str(case / "case.yaml"), "--out", str(out)]
+    assert main(words) == 0
+    before = (out / "summary.json").read_bytes()
+    (case / "load.csv").write_text(f"{HEAD}\n0,0,0,800,-0.1149,0.0649\n")
+    capsys.readouterr()
+    assert main([*words, "--force"]) == 1
+    assert (out / "summary.json").read_bytes() == before
+    beside = out.with_name("out.partial")
+    assert f"results in {beside}\n" in capsys.readouterr().out
+    told = json.loads((beside / "summary.json").read_text())
+    assert told["verdict"] == "not solved"
+
+
+@pytest.mark.slow
 def test_a_step_without_any_solution_is_told(case):
     """Pressed at the very edge; and a name that is no formula."""
     write_case(case / "case.yaml", name=r"sole $\foo{$")

@@ -425,6 +425,10 @@ def test_a_sole_as_a_whole_is_read_from_its_history(two, tmp_path):
     write_history(tmp_path / HISTORY, two.sole.mesh, two.times, unsaid)
     with pytest.raises(InputError, match="does not say the friction; simul"):
         sole_samples(tmp_path)
+    damaged = replace(history, friction=np.nan)
+    write_history(tmp_path / HISTORY, two.sole.mesh, two.times, damaged)
+    with pytest.raises(InputError, match="holds gaps; simulate"):
+        sole_samples(tmp_path)
     K[:] = np.nan
     write_history(tmp_path / HISTORY, two.sole.mesh, two.times, history)
     with pytest.raises(InputError, match="no sample converged"):
