@@ -226,8 +226,8 @@ def build_marker_model(
     for name in markers.weights:
         if name not in names:
             raise InputError(
-                f"{standing.source}: markers.weights names {name!r}, which is "
-                "on no segment; remove it or add it to markers.segments"
+                f"markers.weights names {name!r}, which is on no segment; "
+                "remove it or add it to markers.segments"
             )
     if (loose := model.loose()) is not None:
         raise InputError(

@@ -157,9 +157,8 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
         if person is None
         else _as_modelled(person.human, mass, markers, poses)
     )
-    own, where = settings.subject.segments, f"{standing.source}: subject"
-    human = with_overrides(human, own, f"{where}.segments")
-    _check_centres(own, human, where)
+    human = with_overrides(human, settings.subject.segments, "subject.segments")
+    _check_centres(settings.subject.segments, human)
     model = _with_device(settings, human)
     if settings.device is not None:
         settings.device.check(model.coordinates)
@@ -405,9 +404,7 @@ def _raised(human: HumanParameters, ankle_height: float) -> HumanParameters:
     )
 
 
-def _check_centres(
-    given: HumanOverrides, human: HumanParameters, where: str
-) -> None:
+def _check_centres(given: HumanOverrides, human: HumanParameters) -> None:
     """Refuse a given centre of mass that is not in its segment.
 
     That of a limb or trunk lies between its ends, near the line of its joints.
@@ -419,7 +416,7 @@ def _check_centres(
         length = getattr(human, name).length_m
         if not (abs(x) <= 0.25 * length and 0.0 <= z <= length):
             raise InputError(
-                f"{where}.segments.{name}.com_m is [{x:g}, {z:g}], which is "
+                f"subject.segments.{name}.com_m is [{x:g}, {z:g}], which is "
                 f"not in the {name}, {length:.3g} m long; give [x, z] in m, x "
                 "forward and z up from its lower joint"
             )
@@ -445,9 +442,8 @@ def _over_the_cop(settings, model: Model, q, wrench, report) -> HumanParameters:
     """Shift the trunk's CoM fore-aft until the body's is above the CoP."""
     if wrench is None:
         raise InputError(
-            f"{settings.standing.markers}: scaling.trunk_com is 'standing', "
-            "which needs standing.forces and standing.plates; add them or say "
-            "'table'"
+            "scaling.trunk_com is 'standing', which needs standing.forces "
+            "and standing.plates; add them or say 'table'"
         )
     human, tree = model.human, model.rigid.tree
     gap = wrench.cop_x[0] - tree.center_of_mass(q)[0, 0]
