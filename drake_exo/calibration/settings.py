@@ -922,8 +922,8 @@ class Population:
     )
 
     def __post_init__(self):
-        for name, own in list(self.__dataclass_fields__.items())[:2]:
-            pair = getattr(self, name)
+        for name in ("height_m", "mass_kg"):
+            pair, own = getattr(self, name), self.__dataclass_fields__[name]
             if not isinstance(pair, tuple | list) or len(pair) != 2:
                 raise InputError(
                     f"{name} is {pair!r:.60}; give mean and standard deviation"
