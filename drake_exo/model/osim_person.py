@@ -1,10 +1,11 @@
 """Conversion of a scaled OpenSim model to the planar person.
 
-The model is taken with all coordinates at zero and projected on its sagittal
-plane, seen from the right. Thigh, shank, foot and toes are the bodies femur,
-tibia, talus with calcn, and toes of OpenSim's gait models, with what hangs on
-them; the rest (pelvis, torso, arms) is one trunk. A knee that rolls and slides
-(a CustomJoint) becomes a pin at its place at 0°. Legs that differ are averaged.
+The model is taken with all coordinates at zero, except those that it locks or
+couples elsewhere, and projected on its sagittal plane, seen from the right.
+Thigh, shank, foot and toes are the bodies femur, tibia, talus with calcn, and
+toes of OpenSim's gait models, with what hangs on them; the rest (pelvis, torso,
+arms) is one trunk. A knee that rolls and slides (a CustomJoint) becomes a pin
+at its place at 0°. Legs that differ are averaged.
 """
 
 from dataclasses import dataclass, replace
@@ -88,6 +89,10 @@ def read_person(
     """
     osim = read_osim(path)
     segments = _segments(osim)
+    hinges = _hinges(osim, person, segments)
+    kept = {c for _, _, c in hinges}
+    rest = {name: at for name, at in osim.rest.items() if name not in kept}
+    osim = replace(osim, rest=rest)
     poses = {name: (R[0], p[0]) for name, (R, p) in osim.poses().items()}
     R_GP, p_GP = poses["pelvis"]
 
@@ -100,7 +105,7 @@ def read_person(
         found = {
             joint: flat(body + end, osim.joint_of(body + end).X_CM.p)
             for joint, body in JOINTS.items()
-            if body + end in segments
+            if segments.get(body + end, ("",))[0] == _BODIES[body]
         }
         return {**found, "heel": flat(f"calcn{end}", np.zeros(3))}
 
@@ -140,7 +145,7 @@ def read_person(
         if segments[body][0] != "pelvis" or body in _TRUNK
     }
     human = _human(osim, lumps["pelvis", None], legs, places, height_m, sex)
-    notes = (*_unlike(legs), *_joint_notes(osim, person, segments))
+    notes = (*_unlike(legs), *_joint_notes(osim, hinges))
     return OsimPerson(osim, human, segments, middle, places, markers, notes)
 
 
@@ -149,6 +154,9 @@ def _segments(osim: OsimModel) -> dict[str, tuple[str, str | None]]:
     known = {"pelvis": ("pelvis", None)}
     for side, end in ENDS.items():
         known |= {body + end: (s, side) for body, s in _BODIES.items()}
+    if not all(f"toes{end}" in osim.bodies for end in ENDS.values()):
+        # A foot without toes, such as a prosthesis: both are rigid.
+        known = {b: s for b, s in known.items() if s[0] != "toes"}
     needed = [b for b in known if not b.startswith("toes")]
     missing = [b for b in needed if b not in osim.bodies]
     if missing:
@@ -326,40 +334,54 @@ def _turned(osim: OsimModel, joint: OsimJoint, coordinate: str, q: np.ndarray):
     )
 
 
-def _joint_notes(osim: OsimModel, person: Person, segments):
-    """Yield notes on joints that are no pins about the plane's normal."""
-    kept = {"pelvis_tilt", "pelvis_tx", "pelvis_ty"}
+def _hinges(osim: OsimModel, person: Person, segments):
+    """(Name, joint, its coordinate or None) of each hinge that a person has."""
+    found = []
     for end in ENDS.values():
         for name, body in JOINTS.items():
-            if body + end not in segments:
+            if segments.get(body + end, ("",))[0] != _BODIES[body]:
                 continue
             if name == "toes" and person.toes == "rigid":
                 continue
             joint = osim.joint_of(body + end)
-            found = flexing(osim, joint)
-            if found is None and name != "toes":
+            coordinate, _ = flexing(osim, joint) or (None, 0.0)
+            if coordinate is None and name != "toes":
                 raise InputError(
                     f"{osim.source}: joint {joint.name!r} has no coordinate "
                     "that turns it in the sagittal plane; free one there"
                 )
-            if found is None:
-                yield f"joint {joint.name!r} is fixed; here it is a hinge"
-                continue
-            kept.add(found[0])
-            if name != "hip":
-                yield from _strays(osim, joint, found[0])
+            found.append((name, joint, coordinate))
+    return found
+
+
+def _joint_notes(osim: OsimModel, hinges):
+    """Yield notes on joints that are no pins about the plane's normal."""
+    kept = {"pelvis_tilt", "pelvis_tx", "pelvis_ty"}
+    for name, joint, coordinate in hinges:
+        if coordinate is None:
+            yield f"joint {joint.name!r} is fixed; here it is a hinge"
+            continue
+        kept.add(coordinate)
+        if name != "hip":
+            yield from _strays(osim, joint, coordinate)
     lost = [c for j in osim.joints for c in j.coordinates if c not in kept]
-    if lost:
-        names = ", ".join(lost)
+    if still := [c for c in lost if c not in osim.rest]:
+        names = ", ".join(still)
         yield f"stay at zero, as the planar person lacks them: {names}"
+    if held := [f"{c} at {osim.rest[c]:.4g}" for c in lost if c in osim.rest]:
+        yield (
+            "stay where the model locks or couples them (rad or m): "
+            f"{', '.join(held)}"
+        )
 
 
 def _strays(osim: OsimModel, joint: OsimJoint, coordinate: str):
     """Yield notes on how far a joint is from a pin at its 0 degrees."""
     lower, upper = joint.ranges[joint.coordinates.index(coordinate)]
     q = np.linspace(max(lower, -_FLEXED), min(upper, _FLEXED), 101)
-    _, p, *_ = joint.across({coordinate: q}, len(q))
-    off = np.linalg.norm(p - joint.across({}, 1)[1], axis=1)
+    rest = osim.at_rest
+    _, p, *_ = joint.across(rest(len(q)) | {coordinate: q}, len(q))
+    off = np.linalg.norm(p - joint.across(rest(1), 1)[1], axis=1)
     if off.max() > 1e-5:
         yield (
             f"joint {joint.name!r} slides; it becomes a pin where it is at 0 "

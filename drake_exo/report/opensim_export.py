@@ -365,12 +365,13 @@ def write_states(
     energies: list[str],
     mark: str = "",
 ) -> None:
-    """Write states by OpenSim's names; coordinates that do not move are zero.
+    """Write states by OpenSim's names; coordinates that do not move rest.
 
-    So are `energies`, dissipated in bushings, whose start does not matter.
+    Zero are `energies`, dissipated in bushings, whose start does not matter.
     """
     columns, values = [], []
     zero = np.zeros(len(trial.times))
+    q = osim.at_rest(len(zero)) | q
     for joint in osim.joints:
         for name in joint.coordinates:
             for what, of in (("value", q), ("speed", v)):
@@ -599,12 +600,11 @@ def _weigh(file: xml.OsimFile, person: OsimPerson, factor, shift) -> None:
     moved = R_GP @ np.array([shift[0], shift[1], 0.0])
     for name, body in person.osim.bodies.items():
         element = file.body(name)
-        element.find("mass").text = xml.text_of(factor * body.mass_kg)
-        inertia = np.array(element.findtext("inertia").split(), float)
-        element.find("inertia").text = xml.text_of(factor * inertia)
+        xml.put(element, "mass", factor * body.mass_kg)
+        xml.put(element, "inertia", xml.six(factor * body.inertia_kg_m2))
         if person.segments[name][0] == "pelvis" and shift.any():
             com = body.com_m + poses[name][0][0].T @ moved
-            element.find("mass_center").text = xml.text_of(com)
+            xml.put(element, "mass_center", com)
 
 
 def _add_spheres(file, copies: Copies, contact: ContactModel) -> None:

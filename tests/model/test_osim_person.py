@@ -299,3 +299,84 @@ def test_fixed_joints_of_a_leg_are_refused_but_for_toes(small):
     weld = end.replace("PinJoint", "WeldJoint").replace(coordinate, "")
     with pytest.raises(InputError, match=r"'ankle_r' has no coordinate that"):
         small((end, weld))
+
+
+def leaning_back(kind, coordinate, lean="0 0 0"):
+    """Change of the small model: its back is a joint of another kind."""
+    text = small_osim()
+    start = text.index('<WeldJoint name="back">')
+    end = text.index("</WeldJoint>", start) + len("</WeldJoint>")
+    old = text[start:end]
+    new = old.replace("WeldJoint", kind).replace(
+        "<frames>", f"<coordinates>{coordinate}</coordinates><frames>"
+    )
+    upright = "<orientation>0 0 0</orientation>"
+    return old, new.replace(upright, f"<orientation>{lean}</orientation>", 1)
+
+
+def test_a_locked_back_is_one_that_is_welded_there(small):
+    """The osim-rl runner's is locked at -8 degrees; free ones are at zero."""
+    coordinate = (
+        '<Coordinate name="lumbar_extension"><default_value>-0.14'
+        "</default_value><locked>{}</locked></Coordinate>"
+    )
+    weld = small(leaning_back("WeldJoint", "", "0 0 -0.14"))
+    held = small(leaning_back("PinJoint", coordinate.format("true")))
+    free = small(leaning_back("PinJoint", coordinate.format("false")))
+    upright = small()
+    for found, meant in ((held, weld), (free, upright)):
+        assert found.human.thigh == meant.human.thigh
+        for key in ("com_m", "inertia_kg_m2"):
+            own, other = (getattr(x.human.pelvis, key) for x in (found, meant))
+            assert own == pytest.approx(other, abs=1e-12)
+        for name, (*on, place) in meant.markers.items():
+            assert found.markers[name][:2] == tuple(on)
+            assert found.markers[name][2] == pytest.approx(place)
+    assert held.human.pelvis.com_m[0] - upright.human.pelvis.com_m[0] > 0.03
+    assert any(
+        "locks or couples them (rad or m): lumbar_extension at -0.14" in note
+        for note in held.notes
+    )
+    assert not any("zero" in n and "lumbar" in n for n in held.notes)
+
+
+def test_a_hinge_of_the_person_is_at_zero_even_if_the_model_locks_it(small):
+    ankle = '<Coordinate name="ankle_angle_{}">'
+    changes = [
+        (
+            ankle.format(s),
+            f"{ankle.format(s)}<default_value>0.3</default_value>"
+            "<locked>true</locked>",
+        )
+        for s in "rl"
+    ]
+    held = small(*changes)
+    assert held.human == small().human
+    assert held.osim.rest == {}
+
+
+def test_toes_of_one_foot_alone_are_part_of_it(small):
+    """The other may be a prosthesis."""
+    text = small_osim()
+    ends = (
+        ('<Body name="toes_r">', "</Body>"),
+        ('<PinJoint name="mtp_r">', "</PinJoint>"),
+    )
+    cuts = [
+        text[text.index(a) : text.index(b, text.index(a)) + len(b)]
+        for a, b in ends
+    ]
+    cuts += [
+        line[: line.index("</Marker>") + len("</Marker>")]
+        for line in (
+            text[text.index(f'<Marker name="toe{k}_r">') :] for k in (1, 2)
+        )
+    ]
+    changes = [(cut, "") for cut in cuts]
+    person = small(*changes)
+    assert person.human.toes is None
+    assert person.human.mass_kg == pytest.approx(65.0 - 0.2)
+    assert person.human.foot.mass_kg == pytest.approx(2 * 1.3 + 0.2)
+    assert person.markers["toe1_l"][:2] == ("foot", "left")
+    with pytest.raises(InputError, match="no bodies toes_r and toes_l"):
+        small(*changes, who=Person("two", "hinged"))
