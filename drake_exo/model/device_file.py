@@ -24,6 +24,7 @@ from drake_exo.model.assembly import Assembly, DeviceFile, Weld
 from drake_exo.model.description import numbers
 
 _STRAIGHT = 1e-5  # tolerated deviation of an axis from y, as of 3.1416 for pi
+_QUARTER = np.pi / 2.0
 _FAR_M = 5.0  # of a device from the person; more is in millimetres
 
 
@@ -42,12 +43,18 @@ def with_text(assembly: Assembly, root: Path) -> Assembly:
         return assembly
     path = root / device.file
     if path.suffix.lower() == ".xacro":
-        raise InputError(
-            f"{path}: is a xacro file; expand it first ('xacro {path.name} > "
-            f"{path.stem}.urdf') and give what comes out"
-        )
+        raise _is_xacro(path)
     kind_of(path, (".sdf", ".urdf"), "a device")
     return brought_in(assembly, read_text(path, "check model.device.file"))
+
+
+def _is_xacro(path) -> InputError:
+    name = Path(path).name
+    out = f"{Path(path).stem}{'' if name.endswith('.xacro') else '_plain'}.urdf"
+    return InputError(
+        f"{path}: is a xacro file; expand it first ('xacro {name} > {out}') "
+        "and give what comes out"
+    )
 
 
 # Rotation by 180 degrees about z.
@@ -80,8 +87,10 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
         notes += _without_dynamics(device, element)
     for link in owner.findall("link"):
         notes += _possible_inertia(device, link)
+    _whole_turns(owner)
     joints = {joint.get("name"): joint for joint in owner.findall("joint")}
     for name, joint in joints.items():
+        _ordered_limits(device, joint)
         follows = joint.find(".//{*}mimic") is not None
         stays = name in device.fixed or _ends(joint) <= set(device.weld)
         if follows and not stays:
@@ -213,6 +222,52 @@ def _without_dynamics(device: DeviceFile, joint: ET.Element):
         )
 
 
+def _ordered_limits(device: DeviceFile, joint: ET.Element) -> None:
+    """Refuse limits of a URDF by which Drake would end the process."""
+    for limit in joint.findall("limit"):
+        try:
+            lower, upper = (float(limit.get(k, 0)) for k in ("lower", "upper"))
+        except ValueError:
+            continue  # Drake tells
+        if not lower <= upper:
+            raise InputError(
+                f"{device.name}: joint {joint.get('name')!r} has a lower limit "
+                f"of {lower:g}, but an upper one of {upper:g}; correct them"
+            )
+
+
+def _whole_turns(owner: ET.Element) -> None:
+    """Make angles of 1.57, 3.14 and the like the quarter turns that they mean.
+
+    Else a joint's axis would leave the plane by as much.
+    """
+    for pose in (*owner.iterfind("joint/origin"), *owner.iterfind("./*/pose")):
+        text = pose.text if pose.tag == "pose" else pose.get("rpy")
+        values = (text or "").split()
+        told = {key: value for key, value in pose.attrib.items() if value}
+        if "rotation_format" in told or told.get("degrees") in ("true", "1"):
+            continue
+        meant = [*values[:-3], *map(_quarters, values[-3:])]
+        if meant == values:
+            continue
+        if pose.tag == "pose":
+            pose.text = " ".join(meant)
+        else:
+            pose.set("rpy", " ".join(meant))
+
+
+def _quarters(text: str) -> str:
+    """An angle, exact if it is rounded from one or more quarter turns."""
+    last = 10.0 ** -len(text.partition(".")[2])
+    try:
+        count = round(float(text) / _QUARTER)
+    except (ValueError, OverflowError):
+        return text
+    short = abs(count) * _QUARTER - abs(float(text))  # cut off, or rounded
+    rounded = last < 0.05 and -0.5 * last <= short < last
+    return repr(count * _QUARTER) if count and rounded else text
+
+
 def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
     """Give each link a frame whose y is normal to the plane, in place.
 
@@ -274,15 +329,20 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
             continue
         element, kind = elements[joint.name()], joint.type_name()
         if is_sdf:
-            # The axis is given in the joint's own frame, which is kept.
+            # The joint's frame gets the model's axes: in those, or in its own,
+            # as the file's version has it, the axis is given.
             X_LJ = joint.frame_on_child().GetFixedPoseInBodyFrame()
-            _put(element, is_sdf, X_LP[b].inverse() @ X_LJ)
+            X_MJ = X_ML[b] @ X_LJ
+            straight = RigidTransform(X_MJ.translation())
+            _put(element, is_sdf, X_MP[b].inverse() @ straight)
             for end, link in (("parent", a), ("child", b)):
                 element.find(end).text = link
             if kind in _AXIS:
                 xyz = _filled(_filled(element, "axis"), "xyz")
                 xyz.attrib.clear()
-                xyz.text = numbers(getattr(joint, _AXIS[kind])())
+                xyz.text = numbers(
+                    X_MJ.rotation() @ getattr(joint, _AXIS[kind])()
+                )
         else:
             _put(element, is_sdf, X_MP[a].inverse() @ X_MP[b])
             if kind in _AXIS:
@@ -398,7 +458,11 @@ def _owner(device: DeviceFile, text: str) -> tuple[ET.Element, ET.Element]:
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
+        if "unbound prefix" in str(error) and "<xacro:" in text:
+            raise _is_xacro(device.name) from error
         raise InputError(f"{device.name}: is not XML ({error})") from error
+    if any("xacro" in element.tag.partition("}")[0] for element in root.iter()):
+        raise _is_xacro(device.name)  # Drake would read but part of it
     owner = root if root.tag == "robot" else root.find("model")
     if owner is None or owner.find("model") is not None:
         raise InputError(
@@ -564,7 +628,7 @@ def check_planar(plant: MultibodyPlant, device: DeviceFile) -> None:
             raise InputError(
                 f"{where} turns about ({axis[0]:.3g}, {axis[1]:.3g}, "
                 f"{axis[2]:.3g}), out of the sagittal plane, whose normal is "
-                "y; make it fixed"
+                "y; make it fixed, or weld a link whose x is forward and z up"
             )
         ends = joint.child_body(), joint.parent_body()
         places = [frame.translation()]

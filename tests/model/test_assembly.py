@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from opensim_answers import expanded
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 from scipy.interpolate import make_interp_spline
 
@@ -22,6 +23,7 @@ from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.measurement.exoskeleton import friction_moments
 from drake_exo.measurement.settings import Device, JointDrive
+from drake_exo.model import device_file
 from drake_exo.model import plant as plant_module
 from drake_exo.model.assembly import (
     ASSEMBLIES,
@@ -649,6 +651,10 @@ def test_toes_go_up():
             ],
             "ankle_only.urdf: ",
         ),
+        (
+            [('lower="-1" upper="1"', 'lower="1" upper="-1"')],
+            "'motor' has a lower limit of 1, but an upper one of -1; correct",
+        ),
         ([("</robot>", "")], "is not XML"),
         ([("<robot", "<car"), ("</robot", "</car")], "holds no <robot>"),
         ([('<robot name="ankle_only"', '<robot name=""')], "has no name; give"),
@@ -778,6 +784,27 @@ def test_files_that_are_no_device_are_refused(tmp_path):
     device = DeviceFile({"shoe": "foot"}, Path("missing.urdf"))
     with pytest.raises(InputError, match=r"missing.urdf: cannot be read"):
         with_text(Assembly(device=device), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "rest",
+    [
+        '<xacro:leg side="left"/>',
+        '<xacro:if value="1"><link name="more"/></xacro:if>',
+    ],
+)
+@pytest.mark.parametrize(
+    "space", ["", ' xmlns:xacro="http://www.ros.org/wiki/xacro"']
+)
+def test_a_xacro_file_of_another_name_is_told(rest, space):
+    """Else what it includes or repeats would be left out without a word."""
+    name = '<robot name="ankle_only"'
+    with pytest.raises(InputError, match=r"xacro ankle_only\.urdf > ankle"):
+        edited(ANKLE, (name, name + space), ("</robot>", f"{rest}</robot>"))
+    if space:  # what is left of it once expanded
+        said = f"<!-- {rest} --></robot>"
+        model = edited(ANKLE, (name, name + space), ("</robot>", said))
+        assert model.tree.mass == built(ANKLE).tree.mass
 
 
 def test_a_link_turned_on_its_segment():
@@ -928,6 +955,114 @@ def test_places_in_an_sdf_may_be_told_from_joints():
         atol=1e-9,
     )
     assert model.rigid.tree.mass == pytest.approx(own.tree.mass)
+
+
+OLD_SDF = """<sdf version="{version}"><model name="d"><pose>1 0 2 0 0 0</pose>
+<link name="shoe"><inertial><mass>1.2</mass><inertia><ixx>0.004</ixx>
+<iyy>0.006</iyy><izz>0.006</izz></inertia></inertial></link>
+<link name="bar"><pose>0.1 0.02 0.3 {rpy}</pose><inertial>
+<pose>0.03 0.05 0.16 0 0 0</pose><mass>2.4</mass><inertia><ixx>0.02</ixx>
+<iyy>0.02</iyy><izz>0.006</izz></inertia></inertial></link>
+<joint name="motor" type="revolute"><pose>0.01 0.02 0.03 0 0 0</pose>
+<parent>shoe</parent><child>bar</child><axis>
+<xyz{told}>{axis}</xyz>{more}</axis></joint></model></sdf>"""
+IN_MODEL = "<use_parent_model_frame>1</use_parent_model_frame>"
+
+
+@pytest.mark.parametrize(
+    ("rpy", "axis"),
+    [
+        # A turned link, and y in its axes.
+        ("0 0 3.141592653589793", "0 -1 0"),
+        ("1.5707963267948966 0 0", "0 0 -1"),
+        ("0 0.4 0", "0 1 0"),
+    ],
+)
+@pytest.mark.parametrize(
+    ("version", "more", "told", "in_model"),
+    [
+        ("1.4", "", "", True),
+        ("1.5", IN_MODEL, "", True),
+        ("1.6", IN_MODEL, "", True),
+        ("1.6", "", "", False),
+        ("1.9", "", ' expressed_in="__model__"', True),
+        ("1.9", "", "", False),
+    ],
+)
+def test_an_axis_of_an_sdf_is_in_the_axes_of_its_version(
+    rpy, axis, version, more, told, in_model
+):
+    """Where Drake's own parser has the link, whose joint turns by 0.4 rad."""
+    text = OLD_SDF.format(
+        version=version,
+        rpy=rpy,
+        told=told,
+        more=more,
+        axis="0 1 0" if in_model else axis,
+    )
+    device = DeviceFile({"shoe": "foot"}, Path("d.sdf"))
+    worn = Assembly(device=device, cuffs={"calf": CuffLinks("shank", "bar")})
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModelsFromString(text, "sdf")
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("shoe"))
+    plant.Finalize()
+    found = []
+    for one in (plant, Model(brought_in(worn, text), HUMAN).plant()):
+        context = one.CreateDefaultContext()
+        one.SetPositions(context, np.zeros(one.num_positions()))
+        one.GetJointByName("motor").set_angle(context, 0.4)
+        shoe, bar = (
+            one.GetBodyByName(n).EvalPoseInWorld(context)
+            for n in ("shoe", "bar")
+        )
+        com = one.GetBodyByName("bar").CalcCenterOfMassInBodyFrame(context)
+        found.append(shoe.inverse() @ (bar @ com))
+    np.testing.assert_allclose(*found, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [("1.57", "-1.5708"), ("3.14", "-1.571")]
+)
+def test_quarter_turns_may_be_rounded(first, second):
+    """Axes are then those of exact turns, not a thousandth off the plane."""
+    chain = """<robot name="r">{shoe}<link name="a"/>{calf}
+    <joint name="first" type="fixed"><parent link="shoe"/><child link="a"/>
+    <origin xyz="0.02 0 0.1" rpy="{first} 0 0"/></joint>
+    <joint name="motor" type="continuous"><parent link="a"/>
+    <child link="calf"/><origin rpy="{second} 0 0"/>
+    <axis xyz="{axis}"/></joint></robot>"""
+    link = """<link name="{}"><inertial><origin xyz="0.02 0.01 0.2"/>
+    <mass value="1.4"/><inertia ixx="0.01" iyy="0.02" izz="0.03" ixy="0"
+    ixz="0" iyz="0"/></inertial></link>"""
+    models = []
+    for exact in (False, True):
+        turns = [_exactly(x) if exact else x for x in (first, second)]
+        text = chain.format(
+            shoe=link.format("shoe"),
+            calf=link.format("calf"),
+            first=turns[0],
+            second=turns[1],
+            axis="0 1 0" if first == "1.57" else "0 0 1",
+        )
+        models.append(Model(brought_in(ANKLE, text), HUMAN))
+    q, v, a = np.random.default_rng(0).normal(size=(3, 4, 7))
+    found, meant = (m.tree.inverse_dynamics(q, v, a) for m in models)
+    np.testing.assert_allclose(found, meant, atol=1e-9)
+
+
+def _exactly(text):
+    return repr(round(float(text) / (np.pi / 2.0)) * (np.pi / 2.0))
+
+
+def test_other_angles_are_as_they_are_told():
+    for text in ("1.58", "1.56", "1.5", "0.002", "0", "-0.785", "x", "nan"):
+        assert device_file._quarters(text) == text
+    sdf = OLD_SDF.format(
+        version="1.9", rpy="1.57 0 3.1416", told="", axis="0 0 -1", more=""
+    )
+    device = DeviceFile({"shoe": "foot"}, Path("d.sdf"))
+    worn = Assembly(device=device, cuffs={"calf": CuffLinks("shank", "bar")})
+    assert Model(brought_in(worn, sdf), HUMAN).coordinates.device == ("motor",)
 
 
 def test_an_sdf_that_looks_backward_may_tell_its_turns_in_any_way():
