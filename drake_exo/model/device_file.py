@@ -136,6 +136,8 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
     )
 
 
+# Moment of inertia that counts [kg m^2]; frames and sensors may have any.
+_LARGE = 0.1
 _MOMENTS, _PRODUCTS = ("ixx", "iyy", "izz"), ("ixy", "ixz", "iyz")
 
 
@@ -180,6 +182,12 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
         raise InputError(
             f"{where}: has {turns}a mass of {text or 'nothing'}; give one "
             "above zero"
+        )
+    if max(moments) > max(kg, _LARGE):
+        radius = np.sqrt(max(moments) / kg)
+        raise InputError(
+            f"{where}: {max(moments):g} kg m^2 of {kg:g} kg is that of a ring "
+            f"of {radius:.2g} m radius; correct one of them, kg m^2 and kg"
         )
     xy, xz, yz = (value(key) for key in _PRODUCTS)
 

@@ -138,6 +138,20 @@ def test_inertias_at_the_edge_of_what_a_body_has(moments, products, left_out):
     assert bool(notes) == left_out
 
 
+def test_an_inertia_in_other_units_is_refused():
+    """No link's mass is over 1 m out; that of a sensor's frame may be."""
+    old = 'ixx="0.02" iyy="0.02" izz="0.006" ixy="0" ixz="0"'
+    new = old.replace("0.02", "2e4").replace("0.006", "6e3")
+    with pytest.raises(InputError, match=r"2\.4 kg is that of a ring of 91 m"):
+        edited(ANKLE, (old, new))
+    dot = """<link name="dot"><inertial><mass value="1e-4"/><inertia ixx="1e-3"
+    iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>
+    <joint name="glue" type="fixed"><parent link="calf"/><child link="dot"/>
+    </joint></robot>"""
+    model = edited(ANKLE, ("</robot>", dot))
+    assert model.tree.mass == pytest.approx(73.6001)
+
+
 @pytest.mark.parametrize(("off", "taken"), [("1e-8", True), ("1e-4", False)])
 def test_an_axis_may_leave_the_plane_s_normal_by_rounding(off, taken):
     change = ('<axis xyz="0 1 0"/>', f'<axis xyz="{off} 1 0"/>')
@@ -1052,6 +1066,51 @@ def test_quarter_turns_may_be_rounded(first, second):
 
 def _exactly(text):
     return repr(round(float(text) / (np.pi / 2.0)) * (np.pi / 2.0))
+
+
+def test_a_device_with_y_up_hangs_from_a_link_that_turns_it():
+    """As docs/your_exoskeleton.md tells."""
+    page = Path(__file__).parents[2] / "docs/your_exoskeleton.md"
+    told = " ".join(page.read_text().split())
+    (turn,) = re.findall(
+        r'`(<link name="worn"/>)` and `(<joint.*?</joint>)`', told
+    )
+    link = """<link name="{}"><inertial><origin xyz="{}"/><mass value="2"/>
+    <inertia ixx="0.02" iyy="{}" izz="{}" ixy="0" ixz="0" iyz="0"/></inertial>
+    </link>"""
+    joint = """<joint name="motor" type="continuous"><parent link="base"/>
+    <child link="bar"/><axis xyz="{}"/></joint>"""
+    text = '<robot name="r">{}{}{}</robot>'
+    upright = text.format(
+        link.format("base", "-0.1 0 0.1", 0.03, 0.01),
+        link.format("bar", "0.01 0 -0.2", 0.03, 0.01),
+        joint.format("0 -1 0"),
+    )
+    y_up = text.format(
+        link.format("base", "-0.1 0.1 0", 0.01, 0.03),
+        link.format("bar", "0.01 -0.2 0", 0.01, 0.03),
+        joint.format("0 0 1") + "".join(turn),
+    )
+    trees = [
+        Model(
+            brought_in(
+                replace(HIP, device=DeviceFile(weld, HIP.device.file)), x
+            ),
+            HUMAN,
+        ).tree
+        for weld, x in (
+            ({"base": "pelvis"}, upright),
+            ({"worn": "pelvis"}, y_up),
+        )
+    ]
+    q, v, a = np.random.default_rng(0).normal(size=(3, 4, 7))
+    found, meant = (tree.inverse_dynamics(q, v, a) for tree in trees)
+    np.testing.assert_allclose(found, meant, atol=1e-9)
+    with pytest.raises(
+        InputError, match="weld a link whose x is forward and z"
+    ):
+        device = DeviceFile({"base": "pelvis"}, HIP.device.file)
+        Model(brought_in(replace(HIP, device=device), y_up), HUMAN).tree  # noqa: B018
 
 
 def test_other_angles_are_as_they_are_told():
