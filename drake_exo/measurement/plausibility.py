@@ -1573,8 +1573,8 @@ def fit_checks(model: Model) -> Iterator[Check]:
         f"{assembly.device.name}: joint {worst!r} lies {off[worst]:.2f} m from "
         f"the {names.follows(worst)} that it turns with, while both stand "
         "upright with all joints at zero; the welded link's frame may not have "
-        "x forward and z up, the file's zero may be another posture, or "
-        "model.device.weld another place",
+        "x forward and z up, the file's zero may be another posture (say "
+        "model.device.upright_deg), or model.device.weld another place",
     )
 
 

@@ -59,6 +59,12 @@ def _is_xacro(path) -> InputError:
 
 # Rotation by 180 degrees about z.
 _TURNED = RigidTransform(RotationMatrix(np.diag([-1.0, -1.0, 1.0])))
+# What belongs to other programs, of which Drake would tell at every parse.
+_OTHERS = {
+    *("transmission", "gazebo", "plugin", "self_collide", "sensor", "gravity"),
+    *("allow_auto_disable", "enable_wind", "kinematic", "velocity_decay"),
+    *("safety_controller", "calibration"),
+}
 _OWN = "device_"  # prefix of a link that is named as a segment of the person
 
 
@@ -73,7 +79,7 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
     device, notes = assembly.device, []
     root, owner = _owner(device, text)
     for element in list(owner):
-        if element.tag in ("transmission", "gazebo"):
+        if element.tag in _OTHERS:
             owner.remove(element)
         space, _, tag = element.tag.rpartition("}")
         if "drake" in space and tag != "collision_filter_group":
@@ -82,8 +88,8 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
                 "only hinges do, without loops; take it out, and give a spring "
                 "across a hinge as device.joints.NAME"
             )
-        for limits in element.findall("safety_controller"):
-            element.remove(limits)
+        for other in [e for e in element if e.tag in _OTHERS]:
+            element.remove(other)
         notes += _without_dynamics(device, element)
     for link in owner.findall("link"):
         notes += _possible_inertia(device, link)
@@ -99,12 +105,14 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
                 "but here every joint turns by itself; take it out, or make "
                 "the joint fixed"
             )
-    for name in device.fixed:
+    for name in (*device.fixed, *device.upright_deg):
         if name not in joints:
             raise InputError(
-                f"{device.name}: has no joint {name!r} to fix; it has "
+                f"{device.name}: has no joint {name!r}"
+                f"{' to fix' if name in device.fixed else ''}; it has "
                 f"{', '.join(str(n) for n in joints) or 'none'}"
             )
+    for name in device.fixed:
         joints[name].set("type", "fixed")
         for tag in ("axis", "limit", "dynamics", "{*}mimic"):
             for element in joints[name].findall(tag):
@@ -126,6 +134,7 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
             weld={own(link): to for link, to in device.weld.items()},
             forward="x",
             fixed=(),
+            upright_deg={},
             notes=tuple(notes),
             text=ET.tostring(root, encoding="unicode"),
         ),
@@ -281,7 +290,8 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
 
     Link frames from CAD have any orientation. A frame whose y differs from that
     of the welded link that it hangs from takes that link's axes, at the same
-    origin; all are turned about z if the file's x points backward. Poses in an
+    origin; all are turned about z if the file's x points backward. Joints count
+    from where an upright person wears them. Poses in an
     SDF are then given relative to the model and to links only, since joints
     and names of links may change.
     """
@@ -293,7 +303,10 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
     context = plant.CreateDefaultContext()
     hung = [plant.get_joint(i) for i in plant.GetJointIndices(instance)]
     q = plant.GetPositions(context)
-    q[[j.position_start() for j in hung if j.num_positions() == 1]] = 0.0
+    for joint in hung:
+        if joint.num_positions() == 1:
+            upright = np.deg2rad(device.upright_deg.get(joint.name(), 0.0))
+            q[joint.position_start()] = upright
     plant.SetPositions(context, q)
     bodies = [plant.get_body(i) for i in plant.GetBodyIndices(instance)]
     # Frames: L of a link in the file, P of the link in the plane, M the model.
@@ -311,7 +324,7 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
                 X_LP[name] = X_LP[name] @ _TURNED
     turned = {n for n, X in X_LP.items() if not X.IsExactlyIdentity()}
     told = {key for element in root.iter() for key in element.attrib}
-    if not turned and not told & _TOLD_FROM:
+    if not turned and not told & _TOLD_FROM and not device.upright_deg:
         return
     X_MP = {name: X_ML[name] @ X_LP[name] for name in X_ML}
     for link in owner.findall("link"):
@@ -333,7 +346,8 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
     for joint, (a, b) in zip(hung, ends, strict=True):
         if a not in X_MP:  # Drake's joint of a floating base
             continue
-        if not is_sdf and not {a, b} & turned:
+        bent = joint.name() in device.upright_deg
+        if not is_sdf and not bent and not {a, b} & turned:
             continue
         element, kind = elements[joint.name()], joint.type_name()
         if is_sdf:

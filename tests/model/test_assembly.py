@@ -1064,6 +1064,90 @@ def test_quarter_turns_may_be_rounded(first, second):
     np.testing.assert_allclose(found, meant, atol=1e-9)
 
 
+BENT_URDF = """<robot name="r">{base}{thigh}{shank}
+<joint name="h" type="revolute"><parent link="base"/><child link="thigh_link"/>
+<origin xyz="0.02 0.1 -0.03" rpy="-1.5708 0 0"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" effort="9" velocity="9"/>
+<calibration rising="0"/></joint>
+<joint name="k" type="revolute"><parent link="thigh_link"/>
+<child link="shank_link"/><origin xyz="0.24 0.28 0"/><axis xyz="0 0 -1"/>
+<limit lower="-3" upper="3" effort="9" velocity="9"/></joint></robot>"""
+BENT_SDF = """<sdf version="1.7"><model name="r"><self_collide>0</self_collide>
+{base}{thigh}{shank}
+<joint name="h" type="revolute"><parent>base</parent><child>thigh_link</child>
+<axis><xyz>0 0 1</xyz></axis></joint>
+<joint name="k" type="revolute"><parent>thigh_link</parent>
+<child>shank_link</child><axis><xyz>0 0 -1</xyz></axis></joint></model></sdf>"""
+
+
+@pytest.mark.parametrize("kind", ["urdf", "sdf"])
+@pytest.mark.parametrize("forward", ["x", "-x"])
+def test_a_file_s_zero_may_be_bent(kind, forward, caplog):
+    """Counted from there, links are where Drake's own parser has them."""
+    places = {
+        "base": "0 0 0 0 0 0",
+        "thigh": "0.02 0.1 -0.03 -1.5707963267948966 0 0",
+        "shank": "0.26 0.1 -0.31 -1.5707963267948966 0 0",
+    }
+    links = {}
+    for name, place in places.items():
+        own = name if name == "base" else f"{name}_link"
+        moments = {"ixx": 0.02, "iyy": 0.01, "izz": 0.02}
+        if kind == "urdf":
+            told = " ".join(f'{k}="{v}"' for k, v in moments.items())
+            links[name] = f"""<link name="{own}"><inertial>
+            <origin xyz="0.1 0.12 0.01"/><mass value="2"/>
+            <inertia {told} ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+        else:
+            told = "".join(f"<{k}>{v}</{k}>" for k, v in moments.items())
+            links[name] = f"""<link name="{own}"><pose>{place}</pose><inertial>
+            <pose>0.1 0.12 0.01 0 0 0</pose><mass>2</mass>
+            <inertia>{told}</inertia></inertial></link>"""
+    text = (BENT_URDF if kind == "urdf" else BENT_SDF).format(**links)
+    upright = {"h": 49.4, "k": -22.0}
+    worn = Assembly(
+        device=DeviceFile(
+            {"base": "pelvis"}, Path(f"d.{kind}"), forward, (), upright
+        ),
+        cuffs={
+            "thigh": CuffLinks("thigh", "thigh_link"),
+            "shank": CuffLinks("shank", "shank_link"),
+        },
+    )
+    caplog.clear()
+    model = Model(brought_in(worn, text), HUMAN)
+    assert not caplog.records
+    assert model.assembly.device.upright_deg == {}
+    plant = MultibodyPlant(0.0)
+    exact = text.replace("-1.5708", "-1.5707963267948966")
+    Parser(plant).AddModelsFromString(exact, kind)
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
+    plant.Finalize()
+    found = []
+    for one, zero in ((plant, upright), (model.plant(), {})):
+        context = one.CreateDefaultContext()
+        one.SetPositions(context, np.zeros(one.num_positions()))
+        for name, turned in (("h", 0.3), ("k", -0.5)):
+            angle = turned + np.deg2rad(zero.get(name, 0.0))
+            one.GetJointByName(name).set_angle(context, angle)
+        base = one.GetBodyByName("base").EvalPoseInWorld(context)
+        places = []
+        for name in ("thigh_link", "shank_link"):
+            body = one.GetBodyByName(name)
+            com = body.CalcCenterOfMassInBodyFrame(context)
+            at = body.EvalPoseInWorld(context) @ com
+            places.append(base.inverse() @ at)
+        found.append(np.array(places))
+    if forward == "-x":
+        found[1] *= (-1.0, -1.0, 1.0)
+    np.testing.assert_allclose(*found, atol=1e-9)
+    with pytest.raises(InputError, match="has no joint 'knee'; it has h, k"):
+        device = replace(worn.device, upright_deg={"knee": 10.0})
+        brought_in(replace(worn, device=device), text)
+    with pytest.raises(InputError, match="joint 'h' is fixed, at zero; leave"):
+        replace(worn.device, fixed=("h",))
+
+
 def _exactly(text):
     return repr(round(float(text) / (np.pi / 2.0)) * (np.pi / 2.0))
 
