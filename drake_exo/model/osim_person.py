@@ -38,6 +38,9 @@ JOINTS = {"hip": "femur", "knee": "tibia", "ankle": "talus", "toes": "toes"}
 # in `skeleton`; calcn's origin is the heel's back.
 _BALL = 0.72
 _TOE_TIP = 1.0
+# A foot's length by that, over the usual one at this stature; beyond these
+# calcn's origin is not the heel, but a joint or what CAD or CT left.
+_SHORTEST, _LONGEST = 0.7, 1.4
 _FLEXED = np.deg2rad(100.0)  # flexion up to which a joint is compared to a pin
 _STEP = 1e-6  # rad
 
@@ -145,7 +148,11 @@ def read_person(
         if segments[body][0] != "pelvis" or body in _TRUNK
     }
     human = _human(osim, lumps["pelvis", None], legs, places, height_m, sex)
-    notes = (*_unlike(legs), *_joint_notes(osim, hinges))
+    notes = (
+        *_unlike(legs),
+        *_heel_note(legs, human),
+        *_joint_notes(osim, hinges),
+    )
     return OsimPerson(osim, human, segments, middle, places, markers, notes)
 
 
@@ -230,8 +237,7 @@ def _leg(lumps, side: str, at: dict[str, complex]) -> _Leg:
         toes = lumps["toes", side]
         foot += toes
         length = (at["toes"] - at["heel"]).real / _BALL
-        tip = (_TOE_TIP - _BALL) * length
-        leg["toes"] = (toes.seen(at["toes"], 1j), tip)
+        leg["toes"] = (toes.seen(at["toes"], 1j), 0.0)  # by the foot's
     leg["foot"] = (foot.seen(at["ankle"], 1j), length)
     return leg
 
@@ -258,11 +264,15 @@ def _human(osim, trunk: _Lump, legs, places, height_m, sex) -> HumanParameters:
     thigh, shank, foot = both("thigh"), both("shank"), both("foot")
     toes = ball = None
     if all("toes" in leg for leg in legs):
-        toes = both("toes")
+        toes, told = both("toes"), foot.length_m / usual.foot.length_m
         forward = np.mean([p["toes"] - p["ankle"] for p in places.values()])
         ball = float(forward.real), float(forward.imag)
-    else:  # nothing in the model says how long the foot is
+    # Else nothing in the model says how long the foot is.
+    if toes is None or not _SHORTEST < told < _LONGEST:
         foot = replace(foot, length_m=usual.foot.length_m)
+    if toes is not None:
+        tip = (_TOE_TIP - _BALL) * foot.length_m
+        toes = replace(toes, length_m=tip)
     ratio = foot.length_m / usual.foot.length_m
     above = height_m - usual.ankle_height_m - shank.length_m - thigh.length_m
     return replace(
@@ -303,6 +313,16 @@ def _unlike(legs: list[_Leg]):
                 f"the {name}s differ by {1e3 * off:.1f} mm and "
                 f"{heavier:.3f} kg; their mean is taken"
             )
+
+
+def _heel_note(legs: list[_Leg], human: HumanParameters):
+    """Yield a note if the foot's length is not the model's."""
+    told = np.mean([leg["foot"][1] for leg in legs])
+    if human.toes is not None and abs(told - human.foot.length_m) > 1e-9:
+        yield (
+            f"calcn's origin is not at the heel (the foot would be {told:.2f} "
+            f"m long); its length, {human.foot.length_m:.2f} m, is by stature"
+        )
 
 
 def flexing(osim: OsimModel, joint: OsimJoint) -> tuple[str, float] | None:

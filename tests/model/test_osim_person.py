@@ -380,3 +380,31 @@ def test_toes_of_one_foot_alone_are_part_of_it(small):
     assert person.markers["toe1_l"][:2] == ("foot", "left")
     with pytest.raises(InputError, match="no bodies toes_r and toes_l"):
         small(*changes, who=Person("two", "hinged"))
+
+
+@pytest.mark.parametrize("moved", [0.0, 0.05, 0.13, 0.25, -1.0])
+def test_a_heel_elsewhere_than_calcn_s_origin_is_told(small, moved):
+    """Its frame lies at a joint, or where CT had it; else soles are wrong."""
+    changes = [
+        (f"-0.05 -0.045 {w}0.01", f"{-0.05 + moved} -0.045 {w}0.01")
+        for w in ("", "-")
+    ]
+    changes.append(("0.18 -0.002 0", f"{0.18 - moved} -0.002 0"))
+    changes.append(("0.1 0.03 0", f"{0.1 - moved} 0.03 0"))
+    person, plain = small(*changes), small()
+    usual = scale_human(plain.human.mass_kg, 1.75).foot
+    human, length = person.human, 0.18 / 0.72
+    if moved:
+        length = usual.length_m
+    assert human.foot.length_m == pytest.approx(length)
+    assert human.toes.length_m == pytest.approx(0.28 * length)
+    own = plain.human
+    for key in ("heel_m", "toe_m"):
+        x, z = getattr(own, key)
+        x *= length / own.foot.length_m
+        assert getattr(human, key) == pytest.approx((x, z))
+    assert human.ball_m == pytest.approx(own.ball_m)
+    assert human.foot.com_m == pytest.approx(own.foot.com_m)
+    said = [note for note in person.notes if "is not at the heel" in note]
+    assert len(said) == (1 if moved else 0)
+    assert not moved or f"{(0.18 - moved) / 0.72:.2f} m long" in said[0]
