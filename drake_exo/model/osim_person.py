@@ -56,7 +56,7 @@ class OsimPerson:
         human: parameters of the planar person, sums over both legs.
         segments: body -> (segment, side) that it is part of; the trunk's is
             ("pelvis", None).
-        middle: midpoint of the hips, in the pelvis's frame.
+        middle: midpoint of the hips, from the pelvis's origin.
         places: side -> "hip", "knee", "ankle", "heel" and, where there are
             toes, "toes" (their hinge) -> point.
         markers: name -> (segment, side, point); none of the arms.
@@ -93,11 +93,11 @@ def read_person(
     osim = read_osim(path)
     segments = _segments(osim)
     hinges = _hinges(osim, person, segments)
-    kept = {c for _, _, c in hinges}
+    kept = {c for _, _, c in hinges} | {*osim.joint_of("pelvis").coordinates}
     rest = {name: at for name, at in osim.rest.items() if name not in kept}
     osim = replace(osim, rest=rest)
     poses = {name: (R[0], p[0]) for name, (R, p) in osim.poses().items()}
-    R_GP, p_GP = poses["pelvis"]
+    R_GP, p_GP = upright(osim), poses["pelvis"][1]
 
     def flat(body: str, p_B: np.ndarray) -> complex:
         R, p = poses[body]
@@ -154,6 +154,15 @@ def read_person(
         *_joint_notes(osim, hinges),
     )
     return OsimPerson(osim, human, segments, middle, places, markers, notes)
+
+
+def upright(osim: OsimModel) -> np.ndarray:
+    """Rotation (3, 3) to the ground from the axes in which the pelvis moves.
+
+    These are x forward, y up; a pelvis's own may be others, such as CT's.
+    """
+    (R, *_), _ = osim.poses()["pelvis"]
+    return R @ osim.joint_of("pelvis").X_CM.R
 
 
 def _segments(osim: OsimModel) -> dict[str, tuple[str, str | None]]:
@@ -346,7 +355,7 @@ def flexing(osim: OsimModel, joint: OsimJoint) -> tuple[str, float] | None:
 def _turned(osim: OsimModel, joint: OsimJoint, coordinate: str, q: np.ndarray):
     """Child's rotation in the plane and tilt out of it, both (n,) [rad]."""
     poses = osim.poses({coordinate: q}, len(q))
-    R_GP = osim.poses()["pelvis"][0][0]
+    R_GP = upright(osim)
     zero = osim.poses()[joint.child][0][0]
     R = R_GP.T @ poses[joint.child][0] @ zero.T @ R_GP
     return np.arctan2(R[:, 1, 0], R[:, 0, 0]), np.arccos(

@@ -42,6 +42,7 @@ from drake_exo.model.osim_person import (
     OsimPerson,
     flexing,
     read_person,
+    upright,
 )
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import SEGMENTS
@@ -113,7 +114,7 @@ class Copies:
 
     def _frame(self, body: str, part: str, side: str) -> Pose:
         """Pose of a segment's frame in a body, with all coordinates zero."""
-        R_GP, p_GP = self.zero["pelvis"]
+        R_GP, (_, p_GP) = upright(self.person.osim), self.zero["pelvis"]
         place, lean, aside = self.person.middle, 0.0, 0.0
         if part != "pelvis":
             at = self.person.places[side]
@@ -596,8 +597,7 @@ def _carried(folder: Path, model: Model, person: OsimPerson):
 def _weigh(file: xml.OsimFile, person: OsimPerson, factor, shift) -> None:
     """Set masses, inertias and the trunk's centre of mass to the study's."""
     poses = person.osim.poses()
-    R_GP = poses["pelvis"][0][0]
-    moved = R_GP @ np.array([shift[0], shift[1], 0.0])
+    moved = upright(person.osim) @ np.array([shift[0], shift[1], 0.0])
     for name, body in person.osim.bodies.items():
         element = file.body(name)
         xml.put(element, "mass", factor * body.mass_kg)

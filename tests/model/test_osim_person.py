@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from opensim_answers import ask
 from osim_kinematics import Osim, joint_function
-from small_osim import small_osim
+from scipy.spatial.transform import Rotation
+from small_osim import in_axes_of, small_osim
 
 from drake_exo.errors import InputError
 from drake_exo.measurement.kinematics import inverse_dynamics
@@ -341,6 +342,7 @@ def test_a_locked_back_is_one_that_is_welded_there(small):
 
 
 def test_a_hinge_of_the_person_is_at_zero_even_if_the_model_locks_it(small):
+    """Nor does it matter where the pelvis is locked."""
     ankle = '<Coordinate name="ankle_angle_{}">'
     changes = [
         (
@@ -349,6 +351,11 @@ def test_a_hinge_of_the_person_is_at_zero_even_if_the_model_locks_it(small):
             "<locked>true</locked>",
         )
         for s in "rl"
+    ]
+    locked = "<default_value>0.2</default_value><locked>true</locked>"
+    changes += [
+        (f'"{name}"/>', f'"{name}">{locked}</Coordinate>')
+        for name in ("pelvis_tilt", "pelvis_ty")
     ]
     held = small(*changes)
     assert held.human == small().human
@@ -408,3 +415,23 @@ def test_a_heel_elsewhere_than_calcn_s_origin_is_told(small, moved):
     said = [note for note in person.notes if "is not at the heel" in note]
     assert len(said) == (1 if moved else 0)
     assert not moved or f"{(0.18 - moved) / 0.72:.2f} m long" in said[0]
+
+
+@pytest.mark.parametrize("vector", [(0, 0, 0.3), (2.0, -0.5, 1.0)])
+def test_a_pelvis_may_have_axes_of_its_own(tmp_path, vector):
+    """Such as CT's: upright is as its joint to the ground has it."""
+    R = Rotation.from_rotvec(vector).as_matrix()
+    found = []
+    for text in (small_osim(), in_axes_of(R, small_osim())):
+        (tmp_path / "m.osim").write_text(text)
+        found.append(read_person(tmp_path / "m.osim", Person(), 1.75))
+    plain, other = found
+    for name in ("foot", "thigh", "pelvis", "toes"):
+        for key in ("mass_kg", "com_m", "inertia_kg_m2", "length_m"):
+            own, meant = (getattr(getattr(p.human, name), key)
+                          for p in (other, plain))  # fmt: skip
+            assert own == pytest.approx(meant)
+    assert other.notes == plain.notes
+    for name, (segment, side, place) in plain.markers.items():
+        assert other.markers[name][:2] == (segment, side)
+        assert other.markers[name][2] == pytest.approx(place)
