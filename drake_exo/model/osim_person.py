@@ -92,6 +92,8 @@ def read_person(
     """
     osim = read_osim(path)
     segments = _segments(osim)
+    apart = [name for name in osim.bodies if name not in segments]
+    osim = _without(osim, apart)
     hinges = _hinges(osim, person, segments)
     kept = {c for _, _, c in hinges} | {*osim.joint_of("pelvis").coordinates}
     rest = {name: at for name, at in osim.rest.items() if name not in kept}
@@ -147,13 +149,28 @@ def read_person(
         for name, (body, p_B) in osim.markers.items()
         if segments[body][0] != "pelvis" or body in _TRUNK
     }
-    human = _human(osim, lumps["pelvis", None], legs, places, height_m, sex)
+    usual = scale_human(osim.mass_kg, height_m, sex)
+    human = _human(osim, lumps["pelvis", None], legs, places, usual, person)
     notes = (
+        *([_APART + ", ".join(apart)] if apart else []),
         *_unlike(legs),
         *_heel_note(legs, human),
         *_joint_notes(osim, hinges),
     )
     return OsimPerson(osim, human, segments, middle, places, markers, notes)
+
+
+_APART = "left out, as the ground holds them, not the pelvis: "
+
+
+def _without(osim: OsimModel, apart: list[str]) -> OsimModel:
+    """The model without some bodies, such as a chair."""
+    return replace(
+        osim,
+        bodies={n: b for n, b in osim.bodies.items() if n not in apart},
+        joints=tuple(j for j in osim.joints if j.child not in apart),
+        markers={n: m for n, m in osim.markers.items() if m[0] not in apart},
+    )
 
 
 def upright(osim: OsimModel) -> np.ndarray:
@@ -184,18 +201,14 @@ def _segments(osim: OsimModel) -> dict[str, tuple[str, str | None]]:
         )
     found: dict[str, tuple[str, str | None]] = {}
     for joint in osim.joints:  # parents first
-        if joint.parent == "ground" and joint.child != "pelvis":
-            raise InputError(
-                f"{osim.source}: joint {joint.name!r} ties {joint.child!r} to "
-                "the ground; in a person only the pelvis may be tied to it"
-            )
-        above = found.get(joint.parent, ("pelvis", None))
-        found[joint.child] = known.get(joint.child, above)
+        if joint.parent in found or joint.child == "pelvis":
+            above = found.get(joint.parent)
+            found[joint.child] = known.get(joint.child, above)
     chain = ["pelvis", *_BODIES]
-    for body in needed[1:]:
+    for body in needed:
         name, _, end = body.rpartition("_")
-        above = chain[chain.index(name) - 1]
-        above = above if above == "pelvis" else f"{above}_{end}"
+        above = chain[chain.index(name) - 1] if name else "ground"
+        above = f"{above}_{end}" if above in _BODIES else above
         if osim.joint_of(body).parent != above:
             raise InputError(
                 f"{osim.source}: body {body!r} hangs from "
@@ -251,7 +264,9 @@ def _leg(lumps, side: str, at: dict[str, complex]) -> _Leg:
     return leg
 
 
-def _human(osim, trunk: _Lump, legs, places, height_m, sex) -> HumanParameters:
+def _human(
+    osim, trunk: _Lump, legs, places, usual: HumanParameters, person: Person
+) -> HumanParameters:
     """The planar person; what the model lacks follows from the stature."""
 
     def both(name: str) -> SegmentParameters:
@@ -269,15 +284,19 @@ def _human(osim, trunk: _Lump, legs, places, height_m, sex) -> HumanParameters:
             float(np.mean([leg[name][1] for leg in legs])),
         )
 
-    usual = scale_human(osim.mass_kg, height_m, sex)
+    height_m = usual.height_m
     thigh, shank, foot = both("thigh"), both("shank"), both("foot")
-    toes = ball = None
+    toes, ball, told = None, None, 0.0
     if all("toes" in leg for leg in legs):
-        toes, told = both("toes"), foot.length_m / usual.foot.length_m
+        told = foot.length_m / usual.foot.length_m
+        # Some models leave toes next to nothing, and all to the rest.
+        own = [leg["toes"][0] for leg in legs]
+        if person.toes == "hinged" or all(x.mass * x.inertia for x in own):
+            toes = both("toes")
         forward = np.mean([p["toes"] - p["ankle"] for p in places.values()])
         ball = float(forward.real), float(forward.imag)
     # Else nothing in the model says how long the foot is.
-    if toes is None or not _SHORTEST < told < _LONGEST:
+    if not _SHORTEST < told < _LONGEST:
         foot = replace(foot, length_m=usual.foot.length_m)
     if toes is not None:
         tip = (_TOE_TIP - _BALL) * foot.length_m
@@ -327,7 +346,7 @@ def _unlike(legs: list[_Leg]):
 def _heel_note(legs: list[_Leg], human: HumanParameters):
     """Yield a note if the foot's length is not the model's."""
     told = np.mean([leg["foot"][1] for leg in legs])
-    if human.toes is not None and abs(told - human.foot.length_m) > 1e-9:
+    if human.ball_m is not None and abs(told - human.foot.length_m) > 1e-9:
         yield (
             f"calcn's origin is not at the heel (the foot would be {told:.2f} "
             f"m long); its length, {human.foot.length_m:.2f} m, is by stature"

@@ -435,3 +435,45 @@ def test_a_pelvis_may_have_axes_of_its_own(tmp_path, vector):
     for name, (segment, side, place) in plain.markers.items():
         assert other.markers[name][:2] == (segment, side)
         assert other.markers[name][2] == pytest.approx(place)
+
+
+CHAIR = (
+    '<Body name="chair"><mass>9</mass><inertia>1 1 1 0 0 0</inertia></Body>',
+    """<WeldJoint name="legs"><socket_parent_frame>/ground</socket_parent_frame>
+    <socket_child_frame>/bodyset/chair</socket_child_frame></WeldJoint>""",
+    """<Marker name="seat"><socket_parent_frame>/bodyset/chair
+    </socket_parent_frame><location>0 0.4 0</location></Marker>""",
+)
+
+
+def test_what_stands_on_the_ground_is_not_the_person(small):
+    places = ("BodySet", "JointSet", "MarkerSet")
+    changes = [
+        (f'<{s} name="{s.lower()}"><objects>', f"<{s}><objects>{more}")
+        for s, more in zip(places, CHAIR, strict=True)
+    ]
+    person, plain = small(*changes), small()
+    assert person.human == plain.human
+    assert person.markers == plain.markers
+    assert person.osim.mass_kg == pytest.approx(65.0)
+    assert "left out, as the ground holds them, not the pelvis: chair" in (
+        person.notes
+    )
+    tied = ("<socket_parent_frame>/ground<", "<socket_parent_frame>chair<")
+    held = [(old, new.replace(*tied)) for old, new in changes[:1]]
+    held += [tied, (changes[1][0], changes[1][1])]
+    with pytest.raises(InputError, match="'pelvis' hangs from 'chair', not"):
+        small(*held)
+
+
+def test_toes_of_no_weight_may_be_rigid(small):
+    """Some programs leave all of the foot's mass to calcn and talus."""
+    light = ("<mass>0.2<", "<mass>0<")
+    person = small(light, ("0.0001 0.0002 0.0003 0", "0 0 0 0"))
+    assert person.human.toes is None
+    plain = small()
+    assert person.human.foot.mass_kg == pytest.approx(2 * 1.3)
+    assert person.human.foot.length_m == plain.human.foot.length_m
+    assert person.human.toe_m == plain.human.toe_m
+    with pytest.raises(InputError, match="the toes weighs nothing"):
+        small(light, who=Person("two", "hinged"))
