@@ -385,7 +385,10 @@ def _model(path: str, model: ET.Element) -> OsimModel:
             )
     gravity = _vector(model.findtext("gravity") or "0 -9.80665 0")
     if gravity[0] or gravity[2]:
-        raise InputError(f"{path}: gravity is not along -y")
+        raise InputError(
+            f"{path}: gravity is not along -y; give a model with y up, as "
+            "OpenSim's are"
+        )
     couplers = tuple(
         _coupler(path, constraint)
         for constraint in model.iterfind(
@@ -441,7 +444,8 @@ def _coupler(path: str, constraint: ET.Element) -> OsimCoupler:
     names = (constraint.findtext("independent_coordinate_names") or "").split()
     if len(names) != 1:
         raise InputError(
-            f"{where} depends on {len(names)} coordinates; only one can be read"
+            f"{where} depends on {len(names)} coordinates, but only one can "
+            "be read; take it out, and lock the coordinate that it moves"
         )
     (node,) = constraint.find("coupled_coordinates_function")
     function = _function(where, node)

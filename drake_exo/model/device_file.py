@@ -153,7 +153,7 @@ _MOMENTS, _PRODUCTS = ("ixx", "iyy", "izz"), ("ixy", "ixz", "iyz")
 def _possible_inertia(device: DeviceFile, link: ET.Element):
     """Remove impossible products of inertia from a link; yield a note on it.
 
-    Only the moment about y matters in the plane.
+    Only the moment about the plane's normal matters.
     """
     where = f"{device.name}: link {link.get('name')!r}"
     told = ("mass", *(f"inertia/{key}" for key in _MOMENTS))
@@ -219,7 +219,7 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
             inertia.set(key, "0")
     yield (
         f"{where}: no body has such products of inertia; they are left out, "
-        f"but its {b:g} kg m^2 about y are kept"
+        f"but its {a:g}, {b:g}, {c:g} kg m^2 are kept"
     )
 
 
