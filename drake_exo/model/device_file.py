@@ -50,7 +50,8 @@ def with_text(assembly: Assembly, root: Path) -> Assembly:
 
 def _is_xacro(path) -> InputError:
     name = Path(path).name
-    out = f"{Path(path).stem}{'' if name.endswith('.xacro') else '_plain'}.urdf"
+    plain = name.removesuffix(".xacro").removesuffix(".urdf")
+    out = f"{plain}{'_plain' if name == f'{plain}.urdf' else ''}.urdf"
     return InputError(
         f"{path}: is a xacro file; expand it first ('xacro {name} > {out}') "
         "and give what comes out"

@@ -789,7 +789,8 @@ def test_cuffs_of_the_shipped_device_are_called_as_their_segments(nominal):
 
 def test_files_that_are_no_device_are_refused(tmp_path):
     for name, words in (
-        ("d.xacro", "expand it first"),
+        ("d.xacro", r"expand it first \('xacro d\.xacro > d\.urdf'\)"),
+        ("d.urdf.xacro", r"\('xacro d\.urdf\.xacro > d\.urdf'\)"),
         ("d.obj", "is not a device"),
     ):
         device = DeviceFile({"shoe": "foot"}, Path(name))
