@@ -97,7 +97,8 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
     _whole_turns(owner)
     joints = {joint.get("name"): joint for joint in owner.findall("joint")}
     for name, joint in joints.items():
-        _ordered_limits(device, joint)
+        if joint.get("type") != "fixed" and name not in device.fixed:
+            _ordered_limits(device, joint)
         follows = joint.find(".//{*}mimic") is not None
         stays = name in device.fixed or _ends(joint) <= set(device.weld)
         if follows and not stays:

@@ -691,6 +691,15 @@ def test_devices_that_cannot_be_are_refused(change, words):
     assert str(caught.value).count("\n") == 0
 
 
+def test_limits_of_a_joint_that_is_fixed_do_not_matter():
+    device = replace(ANKLE.device, fixed=("motor",))
+    model = edited(
+        Assembly(device=device),
+        ('lower="-1" upper="1"', 'lower="1" upper="-1"'),
+    )
+    assert model.coordinates.device == ()
+
+
 def test_loops_are_refused():
     """Both ends of a chain welded, its joints still there."""
     knee = """<link name="thigh_bar"><inertial><mass value="1"/><inertia
