@@ -159,8 +159,8 @@ class OsimModel:
         joints: all joints, parents before children.
         markers: name -> (body, (3,) position in its frame [m]).
         couplers: constraints between two coordinates.
-        rest: coordinate -> where it stays, zero if absent: where it is locked,
-            or what couples it to others that rest.
+        rest: coordinate -> where it stays, zero if absent: by default, if it is
+            locked or slides between bodies; or what couples it to others.
     """
 
     source: str
@@ -396,12 +396,17 @@ def _model(path: str, model: ET.Element) -> OsimModel:
         )
         if not _says(constraint, "isEnforced", "false")
     )
+    usual = {
+        _name(one): float(_vector(one.findtext("default_value") or "0", 1)[0])
+        for one in model.iterfind("JointSet/objects/*/coordinates/Coordinate")
+    }
     rest = {}
-    for one in model.iterfind("JointSet/objects/*/coordinates/Coordinate"):
-        if _says(one, "locked", "true"):
-            (rest[_name(one)],) = _vector(
-                one.findtext("default_value") or "0", 1
-            ).tolist()
+    for joint in joints:
+        turning = {axis.coordinate for axis in joint.turns}
+        for name, locked in zip(joint.coordinates, joint.locked, strict=True):
+            slides = joint.parent != "ground" and name not in turning
+            if locked or slides:
+                rest[name] = usual[name]
     for coupler in couplers:
         at = np.array([rest.get(coupler.independent, 0.0)])
         rest[coupler.dependent] = float(coupler.function(at, 0)[0])

@@ -1,7 +1,8 @@
 """Conversion of a scaled OpenSim model to the planar person.
 
 The model is taken with all coordinates at zero, except those that it locks or
-couples elsewhere, and projected on its sagittal plane, seen from the right.
+couples elsewhere and the lengths among them, and projected on its sagittal
+plane, seen from the right.
 Thigh, shank, foot and toes are the bodies femur, tibia, talus with calcn, and
 toes of OpenSim's gait models, with what hangs on them; the rest (pelvis, torso,
 arms) is one trunk. A knee that rolls and slides (a CustomJoint) becomes a pin
@@ -418,7 +419,7 @@ def _joint_notes(osim: OsimModel, hinges):
         yield f"stay at zero, as the planar person lacks them: {names}"
     if held := [f"{c} at {osim.rest[c]:.4g}" for c in lost if c in osim.rest]:
         yield (
-            "stay where the model locks or couples them (rad or m): "
+            "stay where the model has them by default (rad or m): "
             f"{', '.join(held)}"
         )
 

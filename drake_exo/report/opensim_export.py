@@ -202,7 +202,7 @@ def states_of(copies: Copies, links, osim: OsimModel, trial: Trial):
                 reach(names, f"foot{part_of}", copy)
                 continue
             for name in free:
-                q.setdefault(name, np.zeros(n))
+                q.setdefault(name, np.full(n, osim.rest.get(name, 0.0)))
                 v.setdefault(name, np.zeros(n))
             reach(free, f"foot{part_of}", copy, range(6))
         if copies.who.toes == "hinged":

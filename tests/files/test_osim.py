@@ -233,6 +233,29 @@ def test_coordinates_rest_where_they_are_locked_or_coupled(tmp_path):
         np.testing.assert_array_equal(found, meant)
 
 
+def test_lengths_between_bodies_rest_at_their_default(tmp_path):
+    """A back that grows: at zero the torso would be in the pelvis."""
+    text = small_osim()
+    start = text.index('<WeldJoint name="back">')
+    joint = text[start : text.index("</WeldJoint>", start)]
+    slider = joint.replace("WeldJoint", "SliderJoint").replace(
+        "<frames>",
+        '<coordinates><Coordinate name="back_x"><default_value>0.07'
+        "</default_value></Coordinate></coordinates><frames>",
+    )
+    text = text.replace(f"{joint}</WeldJoint>", f"{slider}</SliderJoint>")
+    for name in ("tx", "ty", "tilt"):  # nobody stands at the ground's origin
+        text = text.replace(
+            f'<Coordinate name="pelvis_{name}"/>',
+            f'<Coordinate name="pelvis_{name}"><default_value>0.9'
+            "</default_value></Coordinate>",
+        )
+    model = read(tmp_path, text)
+    assert model.rest == {"back_x": 0.07}
+    place = model.poses()["torso"][1][0]
+    np.testing.assert_allclose(place, [-0.1 + 0.07, 0.08, 0.0])
+
+
 def test_markers_and_joints_may_be_on_frames_of_a_body(tmp_path):
     """A quarter turn about z: x of the frame is y of the body."""
     frame = """<components><PhysicalOffsetFrame name="imu"><socket_parent>..

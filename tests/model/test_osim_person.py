@@ -335,7 +335,7 @@ def test_a_locked_back_is_one_that_is_welded_there(small):
             assert found.markers[name][2] == pytest.approx(place)
     assert held.human.pelvis.com_m[0] - upright.human.pelvis.com_m[0] > 0.03
     assert any(
-        "locks or couples them (rad or m): lumbar_extension at -0.14" in note
+        "has them by default (rad or m): lumbar_extension at -0.14" in note
         for note in held.notes
     )
     assert not any("zero" in n and "lumbar" in n for n in held.notes)

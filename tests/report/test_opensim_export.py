@@ -1,5 +1,6 @@
 """Contacts, cuffs and device in an OpenSim model, against OpenSim's forces."""
 
+import re
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -396,6 +397,46 @@ def leaning(text):
     return f"""{before}<PinJoint name="back">{joint}<coordinates>
         <Coordinate name="lumbar_extension"><default_value>0.3</default_value>
         <locked>true</locked></Coordinate></coordinates></PinJoint>{after}"""
+
+
+def loose(text):
+    """With knees of six coordinates, whose bones are 0.05 m apart."""
+    names = ("angle", "add", "rot", "tx", "ty", "tz")
+    axes = ("0 0 1", "1 0 0", "0 1 0", "1 0 0", "0 1 0", "0 0 1")
+    for s in "rl":
+        start = text.index(f'<PinJoint name="knee_{s}">')
+        pin = text[start : text.index("</PinJoint>", start)]
+        (old,) = re.findall("<coordinates>.*?</coordinates>", pin, re.DOTALL)
+        coordinates = "".join(
+            f'<Coordinate name="knee_{name}_{s}"><default_value>'
+            f"{-0.05 if name == 'ty' else 0.0}</default_value></Coordinate>"
+            for name in names
+        )
+        transform = "".join(
+            f'<TransformAxis name="{"rotation" if k < 3 else "translation"}'
+            f'{k % 3 + 1}"><coordinates>knee_{name}_{s}</coordinates>'
+            f"<axis>{axis}</axis><LinearFunction/></TransformAxis>"
+            for k, (name, axis) in enumerate(zip(names, axes, strict=True))
+        )
+        free = pin.replace("PinJoint", "CustomJoint").replace(
+            old, f"<coordinates>{coordinates}</coordinates>"
+        )
+        free += f"<SpatialTransform>{transform}</SpatialTransform>"
+        text = text.replace(f"{pin}</PinJoint>", f"{free}</CustomJoint>")
+    return text
+
+
+@pytest.mark.slow
+def test_bones_that_are_apart_by_default_stay_apart(case):
+    one = case("two legs", "PinJoint", changed=loose)
+    assert one.model.human.thigh.length_m == pytest.approx(
+        np.hypot(0.45, 0.004)
+    )
+    _, model, q, _ = exported(one)
+    assert model.rest == {"knee_ty_r": -0.05, "knee_ty_l": -0.05}
+    for s in "rl":
+        np.testing.assert_allclose(q[f"knee_ty_{s}"], -0.05, atol=1e-6)
+        assert np.abs(q[f"knee_angle_{s}"]).max() > 0.5
 
 
 @pytest.mark.slow
