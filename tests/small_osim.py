@@ -1,5 +1,8 @@
 """A small OpenSim model, written out: the whole format with made-up numbers."""
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
 # body: mass, centre, inertia about it (xx yy zz xy xz yz)
 _BODIES = {
     "pelvis": "9.7 | -0.07 0.01 0 | 0.09 0.08 0.05 0 0 0",
@@ -137,3 +140,37 @@ def small_osim(knee: str = "PinJoint") -> str:
 <MarkerSet name="markerset"><objects>{"".join(markers)}</objects></MarkerSet>
 </Model></OpenSimDocument>
 """
+
+
+def in_axes_of(R, text):
+    """The small model, its pelvis described in axes turned by R (3, 3)."""
+
+    def turned(numbers):
+        return " ".join(map(repr, (R.T @ np.array(numbers, float)).tolist()))
+
+    for old in ("-0.07 0.01 0", "0.02 0.02 0.12", "0.02 0.02 -0.12",
+                "-0.17 0.03 0.05", "-0.17 0.03 -0.05"):  # fmt: skip
+        assert old in text
+        text = text.replace(f">{old}<", f">{turned(old.split())}<")
+    A = R.T @ np.diag([0.09, 0.08, 0.05]) @ R
+    pairs = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
+    six = " ".join(repr(float(A[pair])) for pair in pairs)
+    text = text.replace("0.09 0.08 0.05 0 0 0", six)
+    angles = Rotation.from_matrix(R.T).as_euler("XYZ")
+    lean = f"<orientation>{' '.join(map(repr, angles.tolist()))}</orientation>"
+    zero = "<orientation>0 0 0</orientation>"
+    parts = text.split('<PhysicalOffsetFrame name="pelvis_offset">')
+    for k, part in enumerate(parts[1:], 1):
+        place, rest = part.split("</translation>", 1)
+        start, numbers = place.split("<translation>")
+        parts[k] = (
+            f"{start}<translation>{turned(numbers.split())}</translation>"
+            f"{rest.replace(zero, lean, 1)}"
+        )
+    text = '<PhysicalOffsetFrame name="pelvis_offset">'.join(parts)
+    child = "<socket_child_frame>/bodyset/pelvis</socket_child_frame>"
+    assert child in text
+    frame = f"""<socket_child_frame>pelvis_child</socket_child_frame><frames>
+    <PhysicalOffsetFrame name="pelvis_child"><socket_parent>/bodyset/pelvis
+    </socket_parent>{lean}</PhysicalOffsetFrame></frames>"""
+    return text.replace(child, frame)

@@ -279,7 +279,7 @@ def test_data_root_must_be_a_folder(tmp_path):
         (
             "model: human",
             "model: {device: {weld: {exo_foot: foot}, fixed: [exo_knee]}}",
-            "fixed and forward belong to a device's file",
+            "fixed, forward and upright_deg belong to a device's file",
         ),
         (
             "model: human",

@@ -11,7 +11,7 @@ Elements can be added: `element` makes one as OpenSim 4 writes it, and
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import radians
 from pathlib import Path
 from typing import NamedTuple
@@ -159,6 +159,8 @@ class OsimModel:
         joints: all joints, parents before children.
         markers: name -> (body, (3,) position in its frame [m]).
         couplers: constraints between two coordinates.
+        rest: coordinate -> where it stays, zero if absent: by default, if it is
+            locked or slides between bodies; or what couples it to others.
     """
 
     source: str
@@ -167,6 +169,7 @@ class OsimModel:
     joints: tuple[OsimJoint, ...]
     markers: dict[str, tuple[str, np.ndarray]]
     couplers: tuple[OsimCoupler, ...] = ()
+    rest: dict[str, float] = field(default_factory=dict)
 
     @property
     def mass_kg(self) -> float:
@@ -187,15 +190,19 @@ class OsimModel:
             f"{', '.join(self.bodies)}"
         )
 
+    def at_rest(self, n: int) -> dict[str, np.ndarray]:
+        """Values (n,) of the coordinates that do not rest at zero."""
+        return {name: np.full(n, value) for name, value in self.rest.items()}
+
     def poses(self, q: Mapping[str, np.ndarray] | None = None, n: int = 1):
         """Body -> its R (n, 3, 3) and p (n, 3) [m] in the ground.
 
         Args:
-            q: coordinate -> values (n,); missing ones are zero. `couplers`
-                are not applied.
+            q: coordinate -> values (n,); missing ones rest. `couplers` are not
+                applied to values that are given.
             n: number of states.
         """
-        q = q or {}
+        q = self.at_rest(n) | dict(q or {})
         found = {"ground": (np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)))}
         for joint in self.joints:
             R, p, *_ = joint.across(q, n)
@@ -271,6 +278,7 @@ class OsimModel:
             (n, 3), in the ground, per unit speed of the coordinate.
         """
         n = len(p_GQ)
+        q = self.at_rest(n) | dict(q)
         (joint,) = (j for j in self.joints if coordinate in j.coordinates)
         moved = {joint.child}
         for other in self.joints:  # parents first
@@ -312,7 +320,7 @@ def read_osim(path: str | Path) -> OsimModel:
             "OpenSim 4 and save it"
         )
     units = (model.findtext("length_units") or "meters").strip()
-    if units != "meters":
+    if units not in ("meters", "m"):
         raise InputError(f"{path}: lengths are in {units}; they must be meters")
     try:
         return _model(str(path), model)
@@ -323,13 +331,38 @@ def read_osim(path: str | Path) -> OsimModel:
         ) from error
 
 
+_SETS = ("BodySet", "JointSet", "MarkerSet", "ConstraintSet")
+
+
 def _model(path: str, model: ET.Element) -> OsimModel:
+    for name in _SETS:
+        if file := getattr(model.find(name), "attrib", {}).get("file"):
+            raise InputError(
+                f"{path}: its {name} is in another file, {file!r}; put its "
+                "<objects> into the model"
+            )
     bodies = {
         _name(body): _body(path, body)
         for body in model.iterfind("BodySet/objects/Body")
     }
+    for body in model.iter("Body"):
+        if body.get("name") not in bodies:  # its mass would be lost
+            raise InputError(
+                f"{path}: body {body.get('name')!r} is not in the BodySet; put "
+                "it there, and its joint into the JointSet"
+            )
+    # (its owner, a frame) -> the body that it is on, its pose there
+    frames: dict[tuple[str, str], tuple[str, Pose]] = {}
+    for owner in (
+        *model.iterfind("BodySet/objects/Body"),
+        *model.iterfind("JointSet/objects/*"),
+    ):
+        for frame in owner.iterfind("./*/PhysicalOffsetFrame"):
+            named, X = _on_body(frame.findtext("socket_parent"), frames)
+            named = _name(owner) if named == ".." else named
+            frames[_name(owner), _name(frame)] = named, _within(X, _pose(frame))
     joints = [
-        _joint(path, joint, bodies)
+        _joint(path, joint, bodies, frames)
         for joint in model.iterfind("JointSet/objects/*")
     ]
     if not bodies or not joints:
@@ -341,19 +374,42 @@ def _model(path: str, model: ET.Element) -> OsimModel:
         )
     markers = {}
     for marker in model.iterfind("MarkerSet/objects/Marker"):
-        body = _last(marker.findtext("socket_parent_frame"))
+        body, X_BF = _on_body(marker.findtext("socket_parent_frame"), frames)
         if body in bodies:
-            place = _vector(marker.findtext("location"))
+            place = X_BF.p + X_BF.R @ _vector(marker.findtext("location"))
             markers[_name(marker)] = (body, place)
+        elif body != "ground":
+            raise InputError(
+                f"{path}: marker {_name(marker)!r} is on {body!r}, which is no "
+                "body of the model; put it on one"
+            )
     gravity = _vector(model.findtext("gravity") or "0 -9.80665 0")
     if gravity[0] or gravity[2]:
-        raise InputError(f"{path}: gravity is not along -y")
+        raise InputError(
+            f"{path}: gravity is not along -y; give a model with y up, as "
+            "OpenSim's are"
+        )
     couplers = tuple(
         _coupler(path, constraint)
         for constraint in model.iterfind(
             "ConstraintSet/objects/CoordinateCouplerConstraint"
         )
+        if not _says(constraint, "isEnforced", "false")
     )
+    usual = {
+        _name(one): float(_vector(one.findtext("default_value") or "0", 1)[0])
+        for one in model.iterfind("JointSet/objects/*/coordinates/Coordinate")
+    }
+    rest = {}
+    for joint in joints:
+        turning = {axis.coordinate for axis in joint.turns}
+        for name, locked in zip(joint.coordinates, joint.locked, strict=True):
+            slides = joint.parent != "ground" and name not in turning
+            if locked or slides:
+                rest[name] = usual[name]
+    for coupler in couplers:
+        at = np.array([rest.get(coupler.independent, 0.0)])
+        rest[coupler.dependent] = float(coupler.function(at, 0)[0])
     return OsimModel(
         path,
         -float(gravity[1]),
@@ -361,7 +417,31 @@ def _model(path: str, model: ET.Element) -> OsimModel:
         _ordered(path, joints),
         markers,
         couplers,
+        {name: value for name, value in rest.items() if value},
     )
+
+
+def _pose(frame: ET.Element) -> Pose:
+    """Pose of a PhysicalOffsetFrame on what it is attached to."""
+    return Pose(
+        _attitude(_vector(frame.findtext("orientation") or "0 0 0")),
+        _vector(frame.findtext("translation") or "0 0 0"),
+    )
+
+
+def _within(X_AB: Pose, X_BC: Pose) -> Pose:
+    return Pose(X_AB.R @ X_BC.R, X_AB.p + X_AB.R @ X_BC.p)
+
+
+def _on_body(path: str | None, frames) -> tuple[str, Pose]:
+    """What a path names: the last part, or the body that a frame is on."""
+    *above, last = (path or "").strip().split("/")
+    usual = last, Pose(np.eye(3), np.zeros(3))
+    return frames.get((above[-1] if above else "", last), usual)
+
+
+def _says(element: ET.Element, tag: str, value: str) -> bool:
+    return (element.findtext(tag) or "").strip() == value
 
 
 def _coupler(path: str, constraint: ET.Element) -> OsimCoupler:
@@ -369,7 +449,8 @@ def _coupler(path: str, constraint: ET.Element) -> OsimCoupler:
     names = (constraint.findtext("independent_coordinate_names") or "").split()
     if len(names) != 1:
         raise InputError(
-            f"{where} depends on {len(names)} coordinates; only one can be read"
+            f"{where} depends on {len(names)} coordinates, but only one can "
+            "be read; take it out, and lock the coordinate that it moves"
         )
     (node,) = constraint.find("coupled_coordinates_function")
     function = _function(where, node)
@@ -383,16 +464,20 @@ def _coupler(path: str, constraint: ET.Element) -> OsimCoupler:
 
 def _body(path: str, body: ET.Element) -> OsimBody:
     (mass,) = _vector(body.findtext("mass"), 1)
-    xx, yy, zz, xy, xz, yz = _vector(body.findtext("inertia"), 6)
+    # OpenSim leaves out what is zero by default.
+    com = _vector(body.findtext("mass_center") or "0 0 0")
+    xx, yy, zz, xy, xz, yz = _vector(
+        body.findtext("inertia") or "0 0 0 0 0 0", 6
+    )
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if not mass >= 0.0:
         raise InputError(
             f"{path}: body {body.get('name')!r} has a mass of {mass:g} kg"
         )
-    return OsimBody(float(mass), _vector(body.findtext("mass_center")), inertia)
+    return OsimBody(float(mass), com, inertia)
 
 
-def _joint(path: str, joint: ET.Element, bodies) -> OsimJoint:
+def _joint(path: str, joint: ET.Element, bodies, frames) -> OsimJoint:
     name, kind = _name(joint), joint.tag
     where = f"{path}: joint {name!r}"
     if kind != "CustomJoint" and kind not in _SIMPLE:
@@ -401,23 +486,14 @@ def _joint(path: str, joint: ET.Element, bodies) -> OsimJoint:
             "CustomJoint or a PinJoint"
         )
     ends = []
-    frames = {
-        _name(frame): frame
-        for frame in joint.iterfind("frames/PhysicalOffsetFrame")
-    }
     for end in ("parent", "child"):
-        named = _last(joint.findtext(f"socket_{end}_frame"))
-        R, p = np.eye(3), np.zeros(3)
-        if named in frames:
-            frame = frames[named]
-            R = _attitude(_vector(frame.findtext("orientation") or "0 0 0"))
-            p = _vector(frame.findtext("translation") or "0 0 0")
-            named = _last(frame.findtext("socket_parent"))
+        to = joint.findtext(f"socket_{end}_frame")
+        named, X = frames.get((name, _last(to))) or _on_body(to, frames)
         if named not in bodies and not (end == "parent" and named == "ground"):
             raise InputError(
                 f"{where}: its {end} {named!r} is not a body of the model"
             )
-        ends.append((named, Pose(R, p)))
+        ends.append((named, X))
     (parent, X_PF), (child, X_CM) = ends
     found = list(joint.iterfind("coordinates/Coordinate"))
     names = tuple(_name(c) for c in found)
@@ -445,7 +521,7 @@ def _joint(path: str, joint: ET.Element, bodies) -> OsimJoint:
         *axes,
         names,
         tuple(_range(c) for c in found),
-        tuple((c.findtext("locked") or "").strip() == "true" for c in found),
+        tuple(_says(c, "locked", "true") for c in found),
     )
 
 
@@ -484,7 +560,8 @@ def _custom(where: str, transform: ET.Element, names):
         item = OsimAxis(
             direction / np.linalg.norm(direction),
             of[0] if of else None,
-            _function(where, kinds[0]) if kinds else _linear(0.0, 0.0),
+            # Without a function it is the coordinate, or zero.
+            _function(where, kinds[0]) if kinds else _linear(len(of), 0.0),
         )
         found.append(item)
     return tuple(found[:3]), tuple(found[3:])
@@ -495,23 +572,24 @@ def _function(where: str, node: ET.Element) -> Function:
         return _function(where, node[0])
     if node.tag == "MultiplierFunction":
         inner = _function(where, node.find("function"))
-        (scale,) = _vector(node.findtext("scale"), 1)
+        (scale,) = _vector(node.findtext("scale") or "1", 1)
         return lambda x, order: scale * inner(x, order)
     if node.tag == "Constant":
-        return _linear(0.0, *_vector(node.findtext("value"), 1))
+        return _linear(0.0, *_vector(node.findtext("value") or "0", 1))
     if node.tag == "LinearFunction":
-        return _linear(*_vector(node.findtext("coefficients"), 2))
+        return _linear(*_vector(node.findtext("coefficients") or "1 0", 2))
     if node.tag == "PolynomialFunction":
         c = _vector(node.findtext("coefficients"), None)
         return lambda x, order: np.polyval(np.polyder(c, order), x)
-    if node.tag == "SimmSpline":
-        return _simm_spline(
-            *(_vector(node.findtext(axis), None) for axis in ("x", "y"))
-        )
+    if node.tag in _SPLINES:
+        x, y = (_vector(node.findtext(axis), None) for axis in ("x", "y"))
+        if len(y) != len(x) or len(x) < 2 or (np.diff(x) < 1e-9).any():
+            raise ValueError(f"a {node.tag} needs as many y as growing x")
+        return _SPLINES[node.tag](x, y)
     raise InputError(
         f"{where}: has a {node.tag}, which is not known; known are Constant, "
-        "LinearFunction, PolynomialFunction, SimmSpline and "
-        "MultiplierFunction of them"
+        "LinearFunction, PolynomialFunction, SimmSpline, "
+        "PiecewiseLinearFunction and MultiplierFunction of them"
     )
 
 
@@ -528,8 +606,6 @@ def _simm_spline(x: np.ndarray, y: np.ndarray) -> Function:
     three, the third derivative at the ends is zero.
     """
     n = len(x)
-    if len(y) != n or n < 2 or (np.diff(x) < 1e-9).any():
-        raise ValueError("a SimmSpline needs as many y as growing x")
     h = np.diff(x)
     slope = np.diff(y) / h
     # Rows for s = y''/6, which is linear between the points.
@@ -558,6 +634,18 @@ def _simm_spline(x: np.ndarray, y: np.ndarray) -> Function:
     )
     whole = PPoly(pieces, np.r_[ends[0], x, ends[1]])
     return lambda at, order: whole(at, order)
+
+
+def _piecewise_linear(x: np.ndarray, y: np.ndarray) -> Function:
+    """Straight between the points, and beyond them as beside the ends."""
+    lines = PPoly(np.array([np.diff(y) / np.diff(x), y[:-1]]), x)
+    return lambda at, order: lines(at, order)
+
+
+_SPLINES = {
+    "SimmSpline": _simm_spline,
+    "PiecewiseLinearFunction": _piecewise_linear,
+}
 
 
 def _divided(x: np.ndarray, y: np.ndarray) -> float:
@@ -696,9 +784,27 @@ def element(kind: str, name: str, **values) -> ET.Element:
 
 def body(name: str, mass_kg: float, com_m, inertia_kg_m2) -> ET.Element:
     """Make a Body; CoM (3,) and inertia (3, 3) about it in its frame."""
-    (xx, xy, xz), (_, yy, yz), (*_, zz) = inertia_kg_m2
-    six = (xx, yy, zz, xy, xz, yz)
-    return element("Body", name, mass=mass_kg, mass_center=com_m, inertia=six)
+    return element(
+        "Body",
+        name,
+        mass=mass_kg,
+        mass_center=com_m,
+        inertia=six(inertia_kg_m2),
+    )
+
+
+def six(inertia) -> tuple[float, ...]:
+    """Six numbers of an inertia (3, 3), in the order of OpenSim's files."""
+    (xx, xy, xz), (_, yy, yz), (*_, zz) = inertia
+    return xx, yy, zz, xy, xz, yz
+
+
+def put(owner: ET.Element, tag: str, values) -> None:
+    """Set a property of an element, which may lack it so far."""
+    found = owner.find(tag)
+    if found is None:
+        found = ET.SubElement(owner, tag)
+    found.text = text_of(values)
 
 
 def add_frames(owner: ET.Element, ends: dict[str, tuple[str, Pose]]) -> None:

@@ -95,6 +95,7 @@ LIMITS: dict[str, tuple[float, str, str]] = {
     "force_file": (1.25, "", "forces"),
     "force_swap": (1.25, "", "forces"),
     # of the device
+    "device_joint": (0.20, "m", "standing"),
     "encoder_sign": (0.5, "", "encoders"),
     "encoder_unit": (2.5, "", "encoders"),
     "encoder_offset": (9.0, "deg", "encoders"),
@@ -1572,6 +1573,32 @@ def wearer_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
         )
 
 
+def fit_checks(model: Model) -> Iterator[Check]:
+    """Check that joints of the user's own device are beside the person's."""
+    assembly = model.assembly
+    if not model.has_device or assembly.is_fitted:
+        return
+    tree, names = model.tree, model.coordinates
+    off: dict[str, float] = {}
+    for name, row in zip(names.device, names.turned_by, strict=True):
+        if np.count_nonzero(row) == 1:  # else it is beside none of them
+            places = map(tree.hinge_place, (name, names.follows(name)))
+            off[name] = float(np.linalg.norm(np.subtract(*places)))
+    if not off:
+        return
+    worst = max(off, key=off.get)
+    yield _judged(
+        "device_joint",
+        off[worst],
+        "standing",
+        f"{assembly.device.name}: joint {worst!r} lies {off[worst]:.2f} m from "
+        f"the {names.follows(worst)} that it turns with, while both stand "
+        "upright with all joints at zero; the welded link's frame may not have "
+        "x forward and z up, the file's zero may be another posture (say "
+        "model.device.upright_deg), or model.device.weld another place",
+    )
+
+
 def worn_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
     """Note if nothing of the device was measured: perhaps nobody wore it."""
     trials = [e.trial for e in evidence]
@@ -1618,7 +1645,7 @@ def plausibility(
         Checks named "plausibility." and a key of `LIMITS`, each with the file
         and the likely cause where it does not hold.
     """
-    checks = [*standing_checks(subject, standing)]
+    checks = [*standing_checks(subject, standing), *fit_checks(subject.model)]
     for e in evidence:
         checks += [*body_checks(e), *plate_checks(e), *device_checks(e)]
         checks += load_checks(e)

@@ -172,7 +172,32 @@ def fit_subject(settings: RecordingSettings, root: Path) -> SubjectModel:
         com = model.rigid.tree.center_of_mass(q)[0, 0]
         report["standing_cop_x_m"] = float(wrench.cop_x[0])
         report["standing_com_x_m"] = float(com)
+    if model.has_device and not model.assembly.is_fitted:
+        notes = (_device_note(model), *report["device_notes"])
+        report["device_notes"] = notes
     return SubjectModel(model, markers, mass, report)
+
+
+def _device_note(model: Model) -> str:
+    """What a user's own device was read as, as far as one number tells."""
+    bare = replace(model.assembly, device=None, cuffs={})
+    trees = model.tree, replace(model, kind=bare).tree
+    masses = [tree.mass for tree in trees]
+    mass = masses[0] - masses[1]
+    moments = [
+        tree.mass * tree.center_of_mass(np.zeros((1, tree.num_positions)))[0]
+        for tree in trees
+    ]
+    said = f"device: {model.assembly.device.name}, {mass:.4g} kg"
+    if not mass > 1e-9 * masses[1]:
+        return said
+    hip = next(n for n in model.coordinates.human if n.startswith("hip"))
+    x, z = np.subtract(*moments) / mass - model.tree.hinge_place(hip)
+    return (
+        f"{said}, its centre of mass {abs(x):.2f} m "
+        f"{'in front of' if x > 0.0 else 'behind'} and {abs(z):.2f} m "
+        f"{'above' if z > 0.0 else 'below'} the hips while both stand upright"
+    )
 
 
 def model_markers(

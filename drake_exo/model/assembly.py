@@ -110,15 +110,17 @@ class DeviceFile:
 
     Attributes:
         weld: link -> segment of the person that it is fixed to, or its place
-            there; at least one. With all joints at zero the device is as an
-            upright person wears it. Joints between two welded links are left
-            out.
+            there; at least one. With all joints at zero, or at `upright_deg`,
+            the device is as an upright person wears it. Joints between two
+            welded links are left out.
         file: SDF or URDF (what xacro expands to), joints included; if left
             out, the shipped exoskeleton, fitted to the person.
         forward: which way the file's x axes point, forward or ("-x") backward.
         fixed: joints that are held at zero, such as a hip's abduction.
-        text: not for users: the file's text with `forward` and `fixed`
-            applied, filled in when a study is read.
+        upright_deg: joint -> its angle in the file where an upright person
+            wears it, if not zero; encoders and results count from there.
+        text: not for users: the file's text with `forward`, `fixed` and
+            `upright_deg` applied, filled in when a study is read.
         notes: not for users: what else was changed in it, in sentences,
             filled in likewise.
     """
@@ -127,6 +129,10 @@ class DeviceFile:
     file: Path | None = None
     forward: Literal["x", "-x"] = "x"
     fixed: tuple[str, ...] = ()
+    upright_deg: dict[str, float] = field(
+        default_factory=dict,
+        metadata={"unit": "deg", "minimum": -360.0, "maximum": 360.0},
+    )
     text: str | None = None
     notes: tuple[str, ...] = ()
 
@@ -136,11 +142,18 @@ class DeviceFile:
                 "the device is attached to nothing; weld one of its links to "
                 "a segment of the person"
             )
-        if self.file is None and (self.fixed or self.forward != "x"):
+        if self.file is None and (
+            self.fixed or self.forward != "x" or self.upright_deg
+        ):
             raise InputError(
-                "fixed and forward belong to a device's file, but the shipped "
-                "exoskeleton has joints and axes of its own; name a file, or "
-                "leave them out"
+                "fixed, forward and upright_deg belong to a device's file, but "
+                "the shipped exoskeleton has joints and axes of its own; name "
+                "a file, or leave them out"
+            )
+        if both := set(self.fixed) & set(self.upright_deg):
+            raise InputError(
+                f"joint {min(both)!r} is fixed, at zero; leave it out of fixed "
+                "or of upright_deg"
             )
 
     @property

@@ -24,6 +24,7 @@ from drake_exo.model.assembly import Assembly, DeviceFile, Weld
 from drake_exo.model.description import numbers
 
 _STRAIGHT = 1e-5  # tolerated deviation of an axis from y, as of 3.1416 for pi
+_QUARTER = np.pi / 2.0
 _FAR_M = 5.0  # of a device from the person; more is in millimetres
 
 
@@ -42,16 +43,29 @@ def with_text(assembly: Assembly, root: Path) -> Assembly:
         return assembly
     path = root / device.file
     if path.suffix.lower() == ".xacro":
-        raise InputError(
-            f"{path}: is a xacro file; expand it first ('xacro {path.name} > "
-            f"{path.stem}.urdf') and give what comes out"
-        )
+        raise _is_xacro(path)
     kind_of(path, (".sdf", ".urdf"), "a device")
     return brought_in(assembly, read_text(path, "check model.device.file"))
 
 
+def _is_xacro(path) -> InputError:
+    name = Path(path).name
+    plain = name.removesuffix(".xacro").removesuffix(".urdf")
+    out = f"{plain}{'_plain' if name == f'{plain}.urdf' else ''}.urdf"
+    return InputError(
+        f"{path}: is a xacro file; expand it first ('xacro {name} > {out}') "
+        "and give what comes out"
+    )
+
+
 # Rotation by 180 degrees about z.
 _TURNED = RigidTransform(RotationMatrix(np.diag([-1.0, -1.0, 1.0])))
+# What belongs to other programs, of which Drake would tell at every parse.
+_OTHERS = {
+    *("transmission", "gazebo", "plugin", "self_collide", "sensor", "gravity"),
+    *("allow_auto_disable", "enable_wind", "kinematic", "velocity_decay"),
+    *("safety_controller", "calibration"),
+}
 _OWN = "device_"  # prefix of a link that is named as a segment of the person
 
 
@@ -66,7 +80,7 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
     device, notes = assembly.device, []
     root, owner = _owner(device, text)
     for element in list(owner):
-        if element.tag in ("transmission", "gazebo"):
+        if element.tag in _OTHERS:
             owner.remove(element)
         space, _, tag = element.tag.rpartition("}")
         if "drake" in space and tag != "collision_filter_group":
@@ -75,13 +89,16 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
                 "only hinges do, without loops; take it out, and give a spring "
                 "across a hinge as device.joints.NAME"
             )
-        for limits in element.findall("safety_controller"):
-            element.remove(limits)
+        for other in [e for e in element if e.tag in _OTHERS]:
+            element.remove(other)
         notes += _without_dynamics(device, element)
     for link in owner.findall("link"):
         notes += _possible_inertia(device, link)
+    _whole_turns(owner)
     joints = {joint.get("name"): joint for joint in owner.findall("joint")}
     for name, joint in joints.items():
+        if joint.get("type") != "fixed" and name not in device.fixed:
+            _ordered_limits(device, joint)
         follows = joint.find(".//{*}mimic") is not None
         stays = name in device.fixed or _ends(joint) <= set(device.weld)
         if follows and not stays:
@@ -90,12 +107,14 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
                 "but here every joint turns by itself; take it out, or make "
                 "the joint fixed"
             )
-    for name in device.fixed:
+    for name in (*device.fixed, *device.upright_deg):
         if name not in joints:
             raise InputError(
-                f"{device.name}: has no joint {name!r} to fix; it has "
+                f"{device.name}: has no joint {name!r}"
+                f"{' to fix' if name in device.fixed else ''}; it has "
                 f"{', '.join(str(n) for n in joints) or 'none'}"
             )
+    for name in device.fixed:
         joints[name].set("type", "fixed")
         for tag in ("axis", "limit", "dynamics", "{*}mimic"):
             for element in joints[name].findall(tag):
@@ -117,6 +136,7 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
             weld={own(link): to for link, to in device.weld.items()},
             forward="x",
             fixed=(),
+            upright_deg={},
             notes=tuple(notes),
             text=ET.tostring(root, encoding="unicode"),
         ),
@@ -127,13 +147,15 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
     )
 
 
+# Moment of inertia that counts [kg m^2]; frames and sensors may have any.
+_LARGE = 0.1
 _MOMENTS, _PRODUCTS = ("ixx", "iyy", "izz"), ("ixy", "ixz", "iyz")
 
 
 def _possible_inertia(device: DeviceFile, link: ET.Element):
     """Remove impossible products of inertia from a link; yield a note on it.
 
-    Only the moment about y matters in the plane.
+    Only the moment about the plane's normal matters.
     """
     where = f"{device.name}: link {link.get('name')!r}"
     told = ("mass", *(f"inertia/{key}" for key in _MOMENTS))
@@ -176,6 +198,12 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
             f"{where}: has {turns}a mass of {text or 'nothing'}; give one "
             "above zero"
         )
+    if max(moments) > max(kg, _LARGE):
+        radius = np.sqrt(max(moments) / kg)
+        raise InputError(
+            f"{where}: {max(moments):g} kg m^2 of {kg:g} kg is that of a ring "
+            f"of {radius:.2g} m radius; correct one of them, kg m^2 and kg"
+        )
     xy, xz, yz = (value(key) for key in _PRODUCTS)
 
     def is_bodys(x, y, z) -> bool:
@@ -197,7 +225,7 @@ def _possible_inertia(device: DeviceFile, link: ET.Element):
             inertia.set(key, "0")
     yield (
         f"{where}: no body has such products of inertia; they are left out, "
-        f"but its {b:g} kg m^2 about y are kept"
+        f"but its {a:g}, {b:g}, {c:g} kg m^2 are kept"
     )
 
 
@@ -217,12 +245,59 @@ def _without_dynamics(device: DeviceFile, joint: ET.Element):
         )
 
 
+def _ordered_limits(device: DeviceFile, joint: ET.Element) -> None:
+    """Refuse limits of a URDF by which Drake would end the process."""
+    for limit in joint.findall("limit"):
+        try:
+            lower, upper = (float(limit.get(k, 0)) for k in ("lower", "upper"))
+        except ValueError:
+            continue  # Drake tells
+        if not lower <= upper:
+            raise InputError(
+                f"{device.name}: joint {joint.get('name')!r} has a lower limit "
+                f"of {lower:g}, but an upper one of {upper:g}; correct them"
+            )
+
+
+def _whole_turns(owner: ET.Element) -> None:
+    """Make angles of 1.57, 3.14 and the like the quarter turns that they mean.
+
+    Else a joint's axis would leave the plane by as much.
+    """
+    for pose in (*owner.iterfind("joint/origin"), *owner.iterfind("./*/pose")):
+        text = pose.text if pose.tag == "pose" else pose.get("rpy")
+        values = (text or "").split()
+        told = {key: value for key, value in pose.attrib.items() if value}
+        if "rotation_format" in told or told.get("degrees") in ("true", "1"):
+            continue
+        meant = [*values[:-3], *map(_quarters, values[-3:])]
+        if meant == values:
+            continue
+        if pose.tag == "pose":
+            pose.text = " ".join(meant)
+        else:
+            pose.set("rpy", " ".join(meant))
+
+
+def _quarters(text: str) -> str:
+    """An angle, exact if it is rounded from one or more quarter turns."""
+    last = 10.0 ** -len(text.partition(".")[2])
+    try:
+        count = round(float(text) / _QUARTER)
+    except (ValueError, OverflowError):
+        return text
+    short = abs(count) * _QUARTER - abs(float(text))  # cut off, or rounded
+    rounded = last < 0.05 and -0.5 * last <= short < last
+    return repr(count * _QUARTER) if count and rounded else text
+
+
 def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
     """Give each link a frame whose y is normal to the plane, in place.
 
     Link frames from CAD have any orientation. A frame whose y differs from that
     of the welded link that it hangs from takes that link's axes, at the same
-    origin; all are turned about z if the file's x points backward. Poses in an
+    origin; all are turned about z if the file's x points backward. Joints count
+    from where an upright person wears them. Poses in an
     SDF are then given relative to the model and to links only, since joints
     and names of links may change.
     """
@@ -234,7 +309,10 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
     context = plant.CreateDefaultContext()
     hung = [plant.get_joint(i) for i in plant.GetJointIndices(instance)]
     q = plant.GetPositions(context)
-    q[[j.position_start() for j in hung if j.num_positions() == 1]] = 0.0
+    for joint in hung:
+        if joint.num_positions() == 1:
+            upright = np.deg2rad(device.upright_deg.get(joint.name(), 0.0))
+            q[joint.position_start()] = upright
     plant.SetPositions(context, q)
     bodies = [plant.get_body(i) for i in plant.GetBodyIndices(instance)]
     # Frames: L of a link in the file, P of the link in the plane, M the model.
@@ -252,7 +330,7 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
                 X_LP[name] = X_LP[name] @ _TURNED
     turned = {n for n, X in X_LP.items() if not X.IsExactlyIdentity()}
     told = {key for element in root.iter() for key in element.attrib}
-    if not turned and not told & _TOLD_FROM:
+    if not turned and not told & _TOLD_FROM and not device.upright_deg:
         return
     X_MP = {name: X_ML[name] @ X_LP[name] for name in X_ML}
     for link in owner.findall("link"):
@@ -274,19 +352,25 @@ def _into_plane(device: DeviceFile, root: ET.Element, owner) -> None:
     for joint, (a, b) in zip(hung, ends, strict=True):
         if a not in X_MP:  # Drake's joint of a floating base
             continue
-        if not is_sdf and not {a, b} & turned:
+        bent = joint.name() in device.upright_deg
+        if not is_sdf and not bent and not {a, b} & turned:
             continue
         element, kind = elements[joint.name()], joint.type_name()
         if is_sdf:
-            # The axis is given in the joint's own frame, which is kept.
+            # The joint's frame gets the model's axes: in those, or in its own,
+            # as the file's version has it, the axis is given.
             X_LJ = joint.frame_on_child().GetFixedPoseInBodyFrame()
-            _put(element, is_sdf, X_LP[b].inverse() @ X_LJ)
+            X_MJ = X_ML[b] @ X_LJ
+            straight = RigidTransform(X_MJ.translation())
+            _put(element, is_sdf, X_MP[b].inverse() @ straight)
             for end, link in (("parent", a), ("child", b)):
                 element.find(end).text = link
             if kind in _AXIS:
                 xyz = _filled(_filled(element, "axis"), "xyz")
                 xyz.attrib.clear()
-                xyz.text = numbers(getattr(joint, _AXIS[kind])())
+                xyz.text = numbers(
+                    X_MJ.rotation() @ getattr(joint, _AXIS[kind])()
+                )
         else:
             _put(element, is_sdf, X_MP[a].inverse() @ X_MP[b])
             if kind in _AXIS:
@@ -402,7 +486,11 @@ def _owner(device: DeviceFile, text: str) -> tuple[ET.Element, ET.Element]:
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
+        if "unbound prefix" in str(error) and "<xacro:" in text:
+            raise _is_xacro(device.name) from error
         raise InputError(f"{device.name}: is not XML ({error})") from error
+    if any("xacro" in element.tag.partition("}")[0] for element in root.iter()):
+        raise _is_xacro(device.name)  # Drake would read but part of it
     owner = root if root.tag == "robot" else root.find("model")
     if owner is None or owner.find("model") is not None:
         raise InputError(
@@ -568,7 +656,7 @@ def check_planar(plant: MultibodyPlant, device: DeviceFile) -> None:
             raise InputError(
                 f"{where} turns about ({axis[0]:.3g}, {axis[1]:.3g}, "
                 f"{axis[2]:.3g}), out of the sagittal plane, whose normal is "
-                "y; make it fixed"
+                "y; make it fixed, or weld a link whose x is forward and z up"
             )
         ends = joint.child_body(), joint.parent_body()
         places = [frame.translation()]

@@ -1,10 +1,12 @@
 """Conversion of a scaled OpenSim model to the planar person.
 
-The model is taken with all coordinates at zero and projected on its sagittal
-plane, seen from the right. Thigh, shank, foot and toes are the bodies femur,
-tibia, talus with calcn, and toes of OpenSim's gait models, with what hangs on
-them; the rest (pelvis, torso, arms) is one trunk. A knee that rolls and slides
-(a CustomJoint) becomes a pin at its place at 0°. Legs that differ are averaged.
+The model is taken with all coordinates at zero, except those that it locks or
+couples elsewhere and the lengths among them, and projected on its sagittal
+plane, seen from the right.
+Thigh, shank, foot and toes are the bodies femur, tibia, talus with calcn, and
+toes of OpenSim's gait models, with what hangs on them; the rest (pelvis, torso,
+arms) is one trunk. A knee that rolls and slides (a CustomJoint) becomes a pin
+at its place at 0°. Legs that differ are averaged.
 """
 
 from dataclasses import dataclass, replace
@@ -37,6 +39,9 @@ JOINTS = {"hip": "femur", "knee": "tibia", "ankle": "talus", "toes": "toes"}
 # in `skeleton`; calcn's origin is the heel's back.
 _BALL = 0.72
 _TOE_TIP = 1.0
+# A foot's length by that, over the usual one at this stature; beyond these
+# calcn's origin is not the heel, but a joint or what CAD or CT left.
+_SHORTEST, _LONGEST = 0.7, 1.4
 _FLEXED = np.deg2rad(100.0)  # flexion up to which a joint is compared to a pin
 _STEP = 1e-6  # rad
 
@@ -52,7 +57,7 @@ class OsimPerson:
         human: parameters of the planar person, sums over both legs.
         segments: body -> (segment, side) that it is part of; the trunk's is
             ("pelvis", None).
-        middle: midpoint of the hips, in the pelvis's frame.
+        middle: midpoint of the hips, from the pelvis's origin.
         places: side -> "hip", "knee", "ankle", "heel" and, where there are
             toes, "toes" (their hinge) -> point.
         markers: name -> (segment, side, point); none of the arms.
@@ -88,8 +93,14 @@ def read_person(
     """
     osim = read_osim(path)
     segments = _segments(osim)
+    apart = [name for name in osim.bodies if name not in segments]
+    osim = _without(osim, apart)
+    hinges = _hinges(osim, person, segments)
+    kept = {c for _, _, c in hinges} | {*osim.joint_of("pelvis").coordinates}
+    rest = {name: at for name, at in osim.rest.items() if name not in kept}
+    osim = replace(osim, rest=rest)
     poses = {name: (R[0], p[0]) for name, (R, p) in osim.poses().items()}
-    R_GP, p_GP = poses["pelvis"]
+    R_GP, p_GP = upright(osim), poses["pelvis"][1]
 
     def flat(body: str, p_B: np.ndarray) -> complex:
         R, p = poses[body]
@@ -100,7 +111,7 @@ def read_person(
         found = {
             joint: flat(body + end, osim.joint_of(body + end).X_CM.p)
             for joint, body in JOINTS.items()
-            if body + end in segments
+            if segments.get(body + end, ("",))[0] == _BODIES[body]
         }
         return {**found, "heel": flat(f"calcn{end}", np.zeros(3))}
 
@@ -139,9 +150,37 @@ def read_person(
         for name, (body, p_B) in osim.markers.items()
         if segments[body][0] != "pelvis" or body in _TRUNK
     }
-    human = _human(osim, lumps["pelvis", None], legs, places, height_m, sex)
-    notes = (*_unlike(legs), *_joint_notes(osim, person, segments))
+    usual = scale_human(osim.mass_kg, height_m, sex)
+    human = _human(osim, lumps["pelvis", None], legs, places, usual, person)
+    notes = (
+        *([_APART + ", ".join(apart)] if apart else []),
+        *_unlike(legs),
+        *_heel_note(legs, human),
+        *_joint_notes(osim, hinges),
+    )
     return OsimPerson(osim, human, segments, middle, places, markers, notes)
+
+
+_APART = "left out, as the ground holds them, not the pelvis: "
+
+
+def _without(osim: OsimModel, apart: list[str]) -> OsimModel:
+    """The model without some bodies, such as a chair."""
+    return replace(
+        osim,
+        bodies={n: b for n, b in osim.bodies.items() if n not in apart},
+        joints=tuple(j for j in osim.joints if j.child not in apart),
+        markers={n: m for n, m in osim.markers.items() if m[0] not in apart},
+    )
+
+
+def upright(osim: OsimModel) -> np.ndarray:
+    """Rotation (3, 3) to the ground from the axes in which the pelvis moves.
+
+    These are x forward, y up; a pelvis's own may be others, such as CT's.
+    """
+    (R, *_), _ = osim.poses()["pelvis"]
+    return R @ osim.joint_of("pelvis").X_CM.R
 
 
 def _segments(osim: OsimModel) -> dict[str, tuple[str, str | None]]:
@@ -149,6 +188,9 @@ def _segments(osim: OsimModel) -> dict[str, tuple[str, str | None]]:
     known = {"pelvis": ("pelvis", None)}
     for side, end in ENDS.items():
         known |= {body + end: (s, side) for body, s in _BODIES.items()}
+    if not all(f"toes{end}" in osim.bodies for end in ENDS.values()):
+        # A foot without toes, such as a prosthesis: both are rigid.
+        known = {b: s for b, s in known.items() if s[0] != "toes"}
     needed = [b for b in known if not b.startswith("toes")]
     missing = [b for b in needed if b not in osim.bodies]
     if missing:
@@ -160,18 +202,14 @@ def _segments(osim: OsimModel) -> dict[str, tuple[str, str | None]]:
         )
     found: dict[str, tuple[str, str | None]] = {}
     for joint in osim.joints:  # parents first
-        if joint.parent == "ground" and joint.child != "pelvis":
-            raise InputError(
-                f"{osim.source}: joint {joint.name!r} ties {joint.child!r} to "
-                "the ground; in a person only the pelvis may be tied to it"
-            )
-        above = found.get(joint.parent, ("pelvis", None))
-        found[joint.child] = known.get(joint.child, above)
+        if joint.parent in found or joint.child == "pelvis":
+            above = found.get(joint.parent)
+            found[joint.child] = known.get(joint.child, above)
     chain = ["pelvis", *_BODIES]
-    for body in needed[1:]:
+    for body in needed:
         name, _, end = body.rpartition("_")
-        above = chain[chain.index(name) - 1]
-        above = above if above == "pelvis" else f"{above}_{end}"
+        above = chain[chain.index(name) - 1] if name else "ground"
+        above = f"{above}_{end}" if above in _BODIES else above
         if osim.joint_of(body).parent != above:
             raise InputError(
                 f"{osim.source}: body {body!r} hangs from "
@@ -222,13 +260,14 @@ def _leg(lumps, side: str, at: dict[str, complex]) -> _Leg:
         toes = lumps["toes", side]
         foot += toes
         length = (at["toes"] - at["heel"]).real / _BALL
-        tip = (_TOE_TIP - _BALL) * length
-        leg["toes"] = (toes.seen(at["toes"], 1j), tip)
+        leg["toes"] = (toes.seen(at["toes"], 1j), 0.0)  # by the foot's
     leg["foot"] = (foot.seen(at["ankle"], 1j), length)
     return leg
 
 
-def _human(osim, trunk: _Lump, legs, places, height_m, sex) -> HumanParameters:
+def _human(
+    osim, trunk: _Lump, legs, places, usual: HumanParameters, person: Person
+) -> HumanParameters:
     """The planar person; what the model lacks follows from the stature."""
 
     def both(name: str) -> SegmentParameters:
@@ -246,15 +285,23 @@ def _human(osim, trunk: _Lump, legs, places, height_m, sex) -> HumanParameters:
             float(np.mean([leg[name][1] for leg in legs])),
         )
 
-    usual = scale_human(osim.mass_kg, height_m, sex)
+    height_m = usual.height_m
     thigh, shank, foot = both("thigh"), both("shank"), both("foot")
-    toes = ball = None
+    toes, ball, told = None, None, 0.0
     if all("toes" in leg for leg in legs):
-        toes = both("toes")
+        told = foot.length_m / usual.foot.length_m
+        # Some models leave toes next to nothing, and all to the rest.
+        own = [leg["toes"][0] for leg in legs]
+        if person.toes == "hinged" or all(x.mass * x.inertia for x in own):
+            toes = both("toes")
         forward = np.mean([p["toes"] - p["ankle"] for p in places.values()])
         ball = float(forward.real), float(forward.imag)
-    else:  # nothing in the model says how long the foot is
+    # Else nothing in the model says how long the foot is.
+    if not _SHORTEST < told < _LONGEST:
         foot = replace(foot, length_m=usual.foot.length_m)
+    if toes is not None:
+        tip = (_TOE_TIP - _BALL) * foot.length_m
+        toes = replace(toes, length_m=tip)
     ratio = foot.length_m / usual.foot.length_m
     above = height_m - usual.ankle_height_m - shank.length_m - thigh.length_m
     return replace(
@@ -297,6 +344,16 @@ def _unlike(legs: list[_Leg]):
             )
 
 
+def _heel_note(legs: list[_Leg], human: HumanParameters):
+    """Yield a note if the foot's length is not the model's."""
+    told = np.mean([leg["foot"][1] for leg in legs])
+    if human.ball_m is not None and abs(told - human.foot.length_m) > 1e-9:
+        yield (
+            f"calcn's origin is not at the heel (the foot would be {told:.2f} "
+            f"m long); its length, {human.foot.length_m:.2f} m, is by stature"
+        )
+
+
 def flexing(osim: OsimModel, joint: OsimJoint) -> tuple[str, float] | None:
     """The joint's coordinate that turns its child most in the sagittal plane.
 
@@ -318,7 +375,7 @@ def flexing(osim: OsimModel, joint: OsimJoint) -> tuple[str, float] | None:
 def _turned(osim: OsimModel, joint: OsimJoint, coordinate: str, q: np.ndarray):
     """Child's rotation in the plane and tilt out of it, both (n,) [rad]."""
     poses = osim.poses({coordinate: q}, len(q))
-    R_GP = osim.poses()["pelvis"][0][0]
+    R_GP = upright(osim)
     zero = osim.poses()[joint.child][0][0]
     R = R_GP.T @ poses[joint.child][0] @ zero.T @ R_GP
     return np.arctan2(R[:, 1, 0], R[:, 0, 0]), np.arccos(
@@ -326,40 +383,54 @@ def _turned(osim: OsimModel, joint: OsimJoint, coordinate: str, q: np.ndarray):
     )
 
 
-def _joint_notes(osim: OsimModel, person: Person, segments):
-    """Yield notes on joints that are no pins about the plane's normal."""
-    kept = {"pelvis_tilt", "pelvis_tx", "pelvis_ty"}
+def _hinges(osim: OsimModel, person: Person, segments):
+    """(Name, joint, its coordinate or None) of each hinge that a person has."""
+    found = []
     for end in ENDS.values():
         for name, body in JOINTS.items():
-            if body + end not in segments:
+            if segments.get(body + end, ("",))[0] != _BODIES[body]:
                 continue
             if name == "toes" and person.toes == "rigid":
                 continue
             joint = osim.joint_of(body + end)
-            found = flexing(osim, joint)
-            if found is None and name != "toes":
+            coordinate, _ = flexing(osim, joint) or (None, 0.0)
+            if coordinate is None and name != "toes":
                 raise InputError(
                     f"{osim.source}: joint {joint.name!r} has no coordinate "
                     "that turns it in the sagittal plane; free one there"
                 )
-            if found is None:
-                yield f"joint {joint.name!r} is fixed; here it is a hinge"
-                continue
-            kept.add(found[0])
-            if name != "hip":
-                yield from _strays(osim, joint, found[0])
+            found.append((name, joint, coordinate))
+    return found
+
+
+def _joint_notes(osim: OsimModel, hinges):
+    """Yield notes on joints that are no pins about the plane's normal."""
+    kept = {"pelvis_tilt", "pelvis_tx", "pelvis_ty"}
+    for name, joint, coordinate in hinges:
+        if coordinate is None:
+            yield f"joint {joint.name!r} is fixed; here it is a hinge"
+            continue
+        kept.add(coordinate)
+        if name != "hip":
+            yield from _strays(osim, joint, coordinate)
     lost = [c for j in osim.joints for c in j.coordinates if c not in kept]
-    if lost:
-        names = ", ".join(lost)
+    if still := [c for c in lost if c not in osim.rest]:
+        names = ", ".join(still)
         yield f"stay at zero, as the planar person lacks them: {names}"
+    if held := [f"{c} at {osim.rest[c]:.4g}" for c in lost if c in osim.rest]:
+        yield (
+            "stay where the model has them by default (rad or m): "
+            f"{', '.join(held)}"
+        )
 
 
 def _strays(osim: OsimModel, joint: OsimJoint, coordinate: str):
     """Yield notes on how far a joint is from a pin at its 0 degrees."""
     lower, upper = joint.ranges[joint.coordinates.index(coordinate)]
     q = np.linspace(max(lower, -_FLEXED), min(upper, _FLEXED), 101)
-    _, p, *_ = joint.across({coordinate: q}, len(q))
-    off = np.linalg.norm(p - joint.across({}, 1)[1], axis=1)
+    rest = osim.at_rest
+    _, p, *_ = joint.across(rest(len(q)) | {coordinate: q}, len(q))
+    off = np.linalg.norm(p - joint.across(rest(1), 1)[1], axis=1)
     if off.max() > 1e-5:
         yield (
             f"joint {joint.name!r} slides; it becomes a pin where it is at 0 "

@@ -150,6 +150,16 @@ class PlanarTree:
         J[:, [0, 1], [0, 1]] = 1.0
         return J
 
+    def hinge_place(self, joint: str) -> np.ndarray:
+        """Place x, z (2,) [m] of a hinge while all coordinates are zero."""
+        q, body = np.zeros((1, self.num_positions)), self.joints[joint][1]
+        column = self.coordinates.index(joint)
+        # Turned counter-clockwise about the hinge, the body moves across.
+        turn = self.turning(body)[column]
+        dx, dz = self.point_jacobian(q, body)[0, :, column] / turn
+        x, z = self.point_positions(q, body)[0]
+        return np.array([x - dz, z + dx])
+
     def moving(self, body: str) -> np.ndarray:
         """Angles that move a body's origin against the root's, (nq,) bool."""
         lever = self.origins[self.body_index(body)]

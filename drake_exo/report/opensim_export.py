@@ -48,6 +48,7 @@ from drake_exo.model.osim_person import (
     OsimPerson,
     flexing,
     read_person,
+    upright,
 )
 from drake_exo.model.plant import Model
 from drake_exo.model.segments import SEGMENTS
@@ -119,7 +120,7 @@ class Copies:
 
     def _frame(self, body: str, part: str, side: str) -> Pose:
         """Pose of a segment's frame in a body, with all coordinates zero."""
-        R_GP, p_GP = self.zero["pelvis"]
+        R_GP, (_, p_GP) = upright(self.person.osim), self.zero["pelvis"]
         place, lean, aside = self.person.middle, 0.0, 0.0
         if part != "pelvis":
             at = self.person.places[side]
@@ -207,7 +208,7 @@ def states_of(copies: Copies, links, osim: OsimModel, trial: Trial):
                 reach(names, f"foot{part_of}", copy)
                 continue
             for name in free:
-                q.setdefault(name, np.zeros(n))
+                q.setdefault(name, np.full(n, osim.rest.get(name, 0.0)))
                 v.setdefault(name, np.zeros(n))
             reach(free, f"foot{part_of}", copy, range(6))
         if copies.who.toes == "hinged":
@@ -371,12 +372,13 @@ def write_states(
     energies: list[str],
     mark: str = "",
 ) -> None:
-    """Write states by OpenSim's names; coordinates that do not move are zero.
+    """Write states by OpenSim's names; coordinates that do not move rest.
 
-    So are `energies`, dissipated in bushings, whose start does not matter.
+    Zero are `energies`, dissipated in bushings, whose start does not matter.
     """
     columns, values = [], []
     zero = np.zeros(len(trial.times))
+    q = osim.at_rest(len(zero)) | q
     for joint in osim.joints:
         for name in joint.coordinates:
             for what, of in (("value", q), ("speed", v)):
@@ -603,16 +605,14 @@ def _carried(folder: Path, model: Model, person: OsimPerson):
 def _weigh(file: xml.OsimFile, person: OsimPerson, factor, shift) -> None:
     """Set masses, inertias and the trunk's centre of mass to the study's."""
     poses = person.osim.poses()
-    R_GP = poses["pelvis"][0][0]
-    moved = R_GP @ np.array([shift[0], shift[1], 0.0])
+    moved = upright(person.osim) @ np.array([shift[0], shift[1], 0.0])
     for name, body in person.osim.bodies.items():
         element = file.body(name)
-        element.find("mass").text = xml.text_of(factor * body.mass_kg)
-        inertia = np.array(element.findtext("inertia").split(), float)
-        element.find("inertia").text = xml.text_of(factor * inertia)
+        xml.put(element, "mass", factor * body.mass_kg)
+        xml.put(element, "inertia", xml.six(factor * body.inertia_kg_m2))
         if person.segments[name][0] == "pelvis" and shift.any():
             com = body.com_m + poses[name][0][0].T @ moved
-            element.find("mass_center").text = xml.text_of(com)
+            xml.put(element, "mass_center", com)
 
 
 def _add_spheres(file, copies: Copies, contact: ContactModel) -> None:

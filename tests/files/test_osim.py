@@ -104,6 +104,21 @@ def test_splines_are_opensims(tmp_path):
         ("</SpatialTransform>", "<TransformAxis/></SpatialTransform>", "once;"),
         ("<gravity>0 -9.80665 0", "<gravity>-9.8 0 0", "not along -y"),
         (">meters<", ">inches<", "lengths are in inches"),
+        (
+            '<MarkerSet name="markerset">',
+            '<MarkerSet file="places.xml">',
+            "its MarkerSet is in another file, 'places.xml'; put its <obj",
+        ),
+        (
+            "</Model>",
+            '<components><Body name="bag"/></components></Model>',
+            "body 'bag' is not in the BodySet; put it there",
+        ),
+        (
+            '"heel_l"><socket_parent_frame>/bodyset/calcn_l',
+            '"heel_l"><socket_parent_frame>/bodyset/shoe',
+            "marker 'heel_l' is on 'shoe', which is no body",
+        ),
     ],
 )
 def test_what_cannot_be_read_is_said_in_a_sentence(tmp_path, old, new, words):
@@ -128,6 +143,169 @@ def test_axes_go_by_their_names_in_whatever_order(tmp_path):
     found, meant = turned.poses(q), read(tmp_path, text).poses(q)
     for part, own in zip(found["toes_r"], meant["toes_r"], strict=True):
         np.testing.assert_array_equal(part, own)
+
+
+def without(text, *parts):
+    for part in parts:
+        assert part in text
+        text = text.replace(part, "")
+    return text
+
+
+def test_what_opensim_does_not_write_is_its_default(tmp_path):
+    """Zero centres and inertias, functions that are the coordinate."""
+    text = small_osim("CustomJoint").replace("<scale>1.1<", "<scale>1<")
+    text = text.replace("0.001 0.001 0.001 0 0 0", "0 0 0 0 0 0")
+    told = read(tmp_path, text)
+    left_out = without(
+        text,
+        "<mass_center>0 0 0</mass_center>",
+        "<inertia>0 0 0 0 0 0</inertia>",
+        "<scale>1</scale>",
+        "<value>0</value>",
+        "<orientation>0 0 0</orientation>",
+        "<length_units>meters</length_units>",
+    )
+    linear = (
+        '<LinearFunction name="function"><coefficients>1 0\n</coefficients>'
+    )
+    function = f"{linear}</LinearFunction>"
+    q = {"knee_angle_r": np.array([-0.7])}
+    for end in ("", function.replace("<coefficients>1 0\n</coefficients>", "")):
+        assert function in left_out
+        model = read(tmp_path, left_out.replace(function, end))
+        for name, body in told.bodies.items():
+            own = model.bodies[name]
+            assert own.com_m.tolist() == body.com_m.tolist()
+            assert own.inertia_kg_m2.tolist() == body.inertia_kg_m2.tolist()
+        for found, meant in zip(
+            model.poses(q)["toes_r"], told.poses(q)["toes_r"], strict=True
+        ):
+            np.testing.assert_array_equal(found, meant)
+    bare = without(text, "<mass>9.7</mass>")
+    with pytest.raises(InputError, match="is not a complete model"):
+        read(tmp_path, bare)
+
+
+def coupled(text, slope, value, enforced="true"):
+    return text.replace(
+        "</Model>",
+        f"""<ConstraintSet><objects><CoordinateCouplerConstraint name="c">
+        <isEnforced>{enforced}</isEnforced><coupled_coordinates_function>
+        <LinearFunction><coefficients>{slope} {value}</coefficients>
+        </LinearFunction></coupled_coordinates_function>
+        <independent_coordinate_names>ankle_angle_r
+        </independent_coordinate_names><dependent_coordinate_name>mtp_angle_r
+        </dependent_coordinate_name></CoordinateCouplerConstraint></objects>
+        </ConstraintSet></Model>""",
+    )
+
+
+def test_coordinates_rest_where_they_are_locked_or_coupled(tmp_path):
+    ankle = '<Coordinate name="ankle_angle_r">'
+    locked = f"{ankle}<default_value>0.3</default_value><locked>true</locked>"
+    text = small_osim()
+    plain = read(tmp_path, text)
+    assert plain.rest == {}
+    free = text.replace(ankle, locked.replace("true", "false"))
+    assert read(tmp_path, free).rest == {}
+    assert read(tmp_path, coupled(text, 2.0, 0.1, "false")).rest == {}
+    model = read(tmp_path, coupled(text.replace(ankle, locked), 2.0, 0.1))
+    assert model.rest == pytest.approx(
+        {"ankle_angle_r": 0.3, "mtp_angle_r": 0.7}
+    )
+    q = {name: np.array([x]) for name, x in model.rest.items()}
+    for found, meant in zip(
+        model.poses()["toes_r"], plain.poses(q)["toes_r"], strict=True
+    ):
+        np.testing.assert_array_equal(found, meant)
+    zero = {name: np.zeros(1) for name in model.rest}
+    for found, meant in zip(
+        model.poses(zero)["toes_r"], plain.poses()["toes_r"], strict=True
+    ):
+        np.testing.assert_array_equal(found, meant)
+    point = plain.poses(q)["toes_r"][1]
+    for found, meant in zip(
+        model.motion("hip_flexion_r", "toes_r", point, {}, model.poses()),
+        plain.motion("hip_flexion_r", "toes_r", point, q, plain.poses(q)),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(found, meant)
+
+
+def test_lengths_between_bodies_rest_at_their_default(tmp_path):
+    """A back that grows: at zero the torso would be in the pelvis."""
+    text = small_osim()
+    start = text.index('<WeldJoint name="back">')
+    joint = text[start : text.index("</WeldJoint>", start)]
+    slider = joint.replace("WeldJoint", "SliderJoint").replace(
+        "<frames>",
+        '<coordinates><Coordinate name="back_x"><default_value>0.07'
+        "</default_value></Coordinate></coordinates><frames>",
+    )
+    text = text.replace(f"{joint}</WeldJoint>", f"{slider}</SliderJoint>")
+    for name in ("tx", "ty", "tilt"):  # nobody stands at the ground's origin
+        text = text.replace(
+            f'<Coordinate name="pelvis_{name}"/>',
+            f'<Coordinate name="pelvis_{name}"><default_value>0.9'
+            "</default_value></Coordinate>",
+        )
+    model = read(tmp_path, text)
+    assert model.rest == {"back_x": 0.07}
+    place = model.poses()["torso"][1][0]
+    np.testing.assert_allclose(place, [-0.1 + 0.07, 0.08, 0.0])
+
+
+def test_markers_and_joints_may_be_on_frames_of_a_body(tmp_path):
+    """A quarter turn about z: x of the frame is y of the body."""
+    frame = """<components><PhysicalOffsetFrame name="imu"><socket_parent>..
+    </socket_parent><translation>0.1 0.2 0</translation>
+    <orientation>0 0 1.5707963267948966</orientation></PhysicalOffsetFrame>
+    </components>"""
+    text = small_osim().replace(
+        '<Body name="torso">', f'<Body name="torso">{frame}'
+    )
+    marker = '<Marker name="shoulder_r"><socket_parent_frame>'
+    text = text.replace(
+        f"{marker}/bodyset/torso<", f"{marker}/bodyset/torso/imu<"
+    )
+    text = text.replace(
+        "<socket_parent>/bodyset/torso<", "<socket_parent>/bodyset/torso/imu<"
+    )
+    marker = '<Marker name="elbow_r"><socket_parent_frame>'
+    text = text.replace(
+        f"{marker}/bodyset/humerus_r<",
+        f"{marker}/jointset/shoulder_r/torso_offset<",
+    )
+    model = read(tmp_path, text)
+    body, place = model.markers["shoulder_r"]
+    assert body == "torso"
+    np.testing.assert_allclose(place, [0.1 - 0.4, 0.2 - 0.02, 0.16])
+    joint = model.joint_of("humerus_r")
+    assert joint.parent == "torso"
+    np.testing.assert_allclose(joint.X_PF.p, [0.1 - 0.36, 0.2, 0.17])
+    body, place = model.markers["elbow_r"]
+    assert body == "torso"
+    np.testing.assert_allclose(place, [0.1 - 0.36 + 0.3, 0.2, 0.17 + 0.03])
+
+
+def test_a_line_of_several_pieces_goes_on_beyond_its_ends(tmp_path):
+    text = small_osim("CustomJoint").replace(
+        "SimmSpline>", "PiecewiseLinearFunction>"
+    )
+    axis = read(tmp_path, text).joint_of("tibia_r").translations[0]
+    x, y = [-2, -1.2, -0.5, 0, 0.3], [-0.02, 0.004, 0.003, -0.001, -0.003]
+    at = np.linspace(-2.0, 0.3, 24)
+    np.testing.assert_allclose(
+        axis.function(at, 0), 1.1 * np.interp(at, x, y), atol=1e-15
+    )
+    ends = np.array([-2.5, 0.6])
+    slopes = 1.1 * np.array([0.024 / 0.8, -0.002 / 0.3])
+    np.testing.assert_allclose(axis.function(ends, 1), slopes)
+    np.testing.assert_allclose(
+        axis.function(ends, 0),
+        [-0.022 - 0.5 * slopes[0], -0.0033 + 0.3 * slopes[1]],
+    )
 
 
 def test_a_body_without_a_joint_is_named(tmp_path):

@@ -19,7 +19,7 @@ from drake_exo.files.tables import Table, write_csv_table
 from drake_exo.measurement.settings import Device, JointDrive
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.description import models_path, nominal_human
-from drake_exo.study import StudyFile
+from drake_exo.study import StudyFile, read_study
 
 MODEL = {
     "device": {"file": "ankle_only.urdf", "weld": {"shoe": "foot"}},
@@ -54,6 +54,34 @@ def test_without_encoders_it_moves_as_the_person_does(folder):
     assert trial.moments is None
     # What stands on the plates is the person with the device.
     assert subject.report["standing_mass_kg"] == pytest.approx(66.4, abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("off", [0.0, 0.25])
+def test_joints_far_from_the_person_s_are_told(folder, off):
+    """And what the device was read as is said."""
+    path = folder / "ankle_only.urdf"
+    parent = '<parent link="shoe"/>'
+    moved = f'{parent}<origin xyz="0 0 {off}"/>'
+    path.write_text(path.read_text().replace(parent, moved))
+    write_recording(folder, nominal_human(), model=MODEL)
+    study = read_study(folder / "study.yaml")
+    (check,) = (
+        c for c in study.plausibility() if c.name.endswith("device_joint")
+    )
+    assert check.value == pytest.approx(off, abs=1e-6)
+    assert check.holds == (off < 0.2)
+    said = "joint 'motor' lies 0.25 m from the ankle that it turns with"
+    assert (said in check.sentence) == (off == 0.25)
+    (note,) = (n for n in study.quality().notes if n.startswith("device:"))
+    start = "device: ankle_only.urdf, 3.6 kg, its centre of mass "
+    assert note.startswith(start)
+    # 1.2 kg 0.07 m below and 2.4 kg 0.16 m above the ankle.
+    human = study.subject.model.human
+    z = (1.2 * -0.07 + 2.4 * (0.16 + off)) / 3.6
+    down = human.shank.length_m + human.thigh.length_m - z
+    x = (1.2 * 0.05 + 2.4 * 0.02) / 3.6
+    assert f"{x:.2f} m in front of and {down:.2f} m below the hips" in note
 
 
 @pytest.mark.slow

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from opensim_answers import expanded
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 from scipy.interpolate import make_interp_spline
 
@@ -22,6 +23,7 @@ from drake_exo.errors import InputError
 from drake_exo.files import schema
 from drake_exo.measurement.exoskeleton import friction_moments
 from drake_exo.measurement.settings import Device, JointDrive
+from drake_exo.model import device_file
 from drake_exo.model import plant as plant_module
 from drake_exo.model.assembly import (
     ASSEMBLIES,
@@ -134,6 +136,20 @@ def test_inertias_at_the_edge_of_what_a_body_has(moments, products, left_out):
     new = f'ixx="{x}" iyy="{y}" izz="{z}" ixy="0" ixz="{products}"'
     notes = edited(ANKLE, (old, new)).assembly.device.notes
     assert bool(notes) == left_out
+
+
+def test_an_inertia_in_other_units_is_refused():
+    """No link's mass is over 1 m out; that of a sensor's frame may be."""
+    old = 'ixx="0.02" iyy="0.02" izz="0.006" ixy="0" ixz="0"'
+    new = old.replace("0.02", "2e4").replace("0.006", "6e3")
+    with pytest.raises(InputError, match=r"2\.4 kg is that of a ring of 91 m"):
+        edited(ANKLE, (old, new))
+    dot = """<link name="dot"><inertial><mass value="1e-4"/><inertia ixx="1e-3"
+    iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>
+    <joint name="glue" type="fixed"><parent link="calf"/><child link="dot"/>
+    </joint></robot>"""
+    model = edited(ANKLE, ("</robot>", dot))
+    assert model.tree.mass == pytest.approx(73.6001)
 
 
 @pytest.mark.parametrize(("off", "taken"), [("1e-8", True), ("1e-4", False)])
@@ -671,6 +687,10 @@ def test_toes_go_up():
             ],
             "ankle_only.urdf: ",
         ),
+        (
+            [('lower="-1" upper="1"', 'lower="1" upper="-1"')],
+            "'motor' has a lower limit of 1, but an upper one of -1; correct",
+        ),
         ([("</robot>", "")], "is not XML"),
         ([("<robot", "<car"), ("</robot", "</car")], "holds no <robot>"),
         ([('<robot name="ankle_only"', '<robot name=""')], "has no name; give"),
@@ -691,6 +711,15 @@ def test_devices_that_cannot_be_are_refused(change, words):
     with pytest.raises(InputError, match=words) as caught:
         edited(ANKLE, *change).tree  # noqa: B018
     assert str(caught.value).count("\n") == 0
+
+
+def test_limits_of_a_joint_that_is_fixed_do_not_matter():
+    device = replace(ANKLE.device, fixed=("motor",))
+    model = edited(
+        Assembly(device=device),
+        ('lower="-1" upper="1"', 'lower="1" upper="-1"'),
+    )
+    assert model.coordinates.device == ()
 
 
 def test_loops_are_refused():
@@ -791,7 +820,8 @@ def test_cuffs_of_the_shipped_device_are_called_as_their_segments(nominal):
 
 def test_files_that_are_no_device_are_refused(tmp_path):
     for name, words in (
-        ("d.xacro", "expand it first"),
+        ("d.xacro", r"expand it first \('xacro d\.xacro > d\.urdf'\)"),
+        ("d.urdf.xacro", r"\('xacro d\.urdf\.xacro > d\.urdf'\)"),
         ("d.obj", "is not a device"),
     ):
         device = DeviceFile({"shoe": "foot"}, Path(name))
@@ -800,6 +830,27 @@ def test_files_that_are_no_device_are_refused(tmp_path):
     device = DeviceFile({"shoe": "foot"}, Path("missing.urdf"))
     with pytest.raises(InputError, match=r"missing.urdf: cannot be read"):
         with_text(Assembly(device=device), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "rest",
+    [
+        '<xacro:leg side="left"/>',
+        '<xacro:if value="1"><link name="more"/></xacro:if>',
+    ],
+)
+@pytest.mark.parametrize(
+    "space", ["", ' xmlns:xacro="http://www.ros.org/wiki/xacro"']
+)
+def test_a_xacro_file_of_another_name_is_told(rest, space):
+    """Else what it includes or repeats would be left out without a word."""
+    name = '<robot name="ankle_only"'
+    with pytest.raises(InputError, match=r"xacro ankle_only\.urdf > ankle"):
+        edited(ANKLE, (name, name + space), ("</robot>", f"{rest}</robot>"))
+    if space:  # what is left of it once expanded
+        said = f"<!-- {rest} --></robot>"
+        model = edited(ANKLE, (name, name + space), ("</robot>", said))
+        assert model.tree.mass == built(ANKLE).tree.mass
 
 
 def test_a_link_turned_on_its_segment():
@@ -950,6 +1001,243 @@ def test_places_in_an_sdf_may_be_told_from_joints():
         atol=1e-9,
     )
     assert model.rigid.tree.mass == pytest.approx(own.tree.mass)
+
+
+OLD_SDF = """<sdf version="{version}"><model name="d"><pose>1 0 2 0 0 0</pose>
+<link name="shoe"><inertial><mass>1.2</mass><inertia><ixx>0.004</ixx>
+<iyy>0.006</iyy><izz>0.006</izz></inertia></inertial></link>
+<link name="bar"><pose>0.1 0.02 0.3 {rpy}</pose><inertial>
+<pose>0.03 0.05 0.16 0 0 0</pose><mass>2.4</mass><inertia><ixx>0.02</ixx>
+<iyy>0.02</iyy><izz>0.006</izz></inertia></inertial></link>
+<joint name="motor" type="revolute"><pose>0.01 0.02 0.03 0 0 0</pose>
+<parent>shoe</parent><child>bar</child><axis>
+<xyz{told}>{axis}</xyz>{more}</axis></joint></model></sdf>"""
+IN_MODEL = "<use_parent_model_frame>1</use_parent_model_frame>"
+
+
+@pytest.mark.parametrize(
+    ("rpy", "axis"),
+    [
+        # A turned link, and y in its axes.
+        ("0 0 3.141592653589793", "0 -1 0"),
+        ("1.5707963267948966 0 0", "0 0 -1"),
+        ("0 0.4 0", "0 1 0"),
+    ],
+)
+@pytest.mark.parametrize(
+    ("version", "more", "told", "in_model"),
+    [
+        ("1.4", "", "", True),
+        ("1.5", IN_MODEL, "", True),
+        ("1.6", IN_MODEL, "", True),
+        ("1.6", "", "", False),
+        ("1.9", "", ' expressed_in="__model__"', True),
+        ("1.9", "", "", False),
+    ],
+)
+def test_an_axis_of_an_sdf_is_in_the_axes_of_its_version(
+    rpy, axis, version, more, told, in_model
+):
+    """Where Drake's own parser has the link, whose joint turns by 0.4 rad."""
+    text = OLD_SDF.format(
+        version=version,
+        rpy=rpy,
+        told=told,
+        more=more,
+        axis="0 1 0" if in_model else axis,
+    )
+    device = DeviceFile({"shoe": "foot"}, Path("d.sdf"))
+    worn = Assembly(device=device, cuffs={"calf": CuffLinks("shank", "bar")})
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModelsFromString(text, "sdf")
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("shoe"))
+    plant.Finalize()
+    found = []
+    for one in (plant, Model(brought_in(worn, text), HUMAN).plant()):
+        context = one.CreateDefaultContext()
+        one.SetPositions(context, np.zeros(one.num_positions()))
+        one.GetJointByName("motor").set_angle(context, 0.4)
+        shoe, bar = (
+            one.GetBodyByName(n).EvalPoseInWorld(context)
+            for n in ("shoe", "bar")
+        )
+        com = one.GetBodyByName("bar").CalcCenterOfMassInBodyFrame(context)
+        found.append(shoe.inverse() @ (bar @ com))
+    np.testing.assert_allclose(*found, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [("1.57", "-1.5708"), ("3.14", "-1.571")]
+)
+def test_quarter_turns_may_be_rounded(first, second):
+    """Axes are then those of exact turns, not a thousandth off the plane."""
+    chain = """<robot name="r">{shoe}<link name="a"/>{calf}
+    <joint name="first" type="fixed"><parent link="shoe"/><child link="a"/>
+    <origin xyz="0.02 0 0.1" rpy="{first} 0 0"/></joint>
+    <joint name="motor" type="continuous"><parent link="a"/>
+    <child link="calf"/><origin rpy="{second} 0 0"/>
+    <axis xyz="{axis}"/></joint></robot>"""
+    link = """<link name="{}"><inertial><origin xyz="0.02 0.01 0.2"/>
+    <mass value="1.4"/><inertia ixx="0.01" iyy="0.02" izz="0.03" ixy="0"
+    ixz="0" iyz="0"/></inertial></link>"""
+    models = []
+    for exact in (False, True):
+        turns = [_exactly(x) if exact else x for x in (first, second)]
+        text = chain.format(
+            shoe=link.format("shoe"),
+            calf=link.format("calf"),
+            first=turns[0],
+            second=turns[1],
+            axis="0 1 0" if first == "1.57" else "0 0 1",
+        )
+        models.append(Model(brought_in(ANKLE, text), HUMAN))
+    q, v, a = np.random.default_rng(0).normal(size=(3, 4, 7))
+    found, meant = (m.tree.inverse_dynamics(q, v, a) for m in models)
+    np.testing.assert_allclose(found, meant, atol=1e-9)
+
+
+BENT_URDF = """<robot name="r">{base}{thigh}{shank}
+<joint name="h" type="revolute"><parent link="base"/><child link="thigh_link"/>
+<origin xyz="0.02 0.1 -0.03" rpy="-1.5708 0 0"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" effort="9" velocity="9"/>
+<calibration rising="0"/></joint>
+<joint name="k" type="revolute"><parent link="thigh_link"/>
+<child link="shank_link"/><origin xyz="0.24 0.28 0"/><axis xyz="0 0 -1"/>
+<limit lower="-3" upper="3" effort="9" velocity="9"/></joint></robot>"""
+BENT_SDF = """<sdf version="1.7"><model name="r"><self_collide>0</self_collide>
+{base}{thigh}{shank}
+<joint name="h" type="revolute"><parent>base</parent><child>thigh_link</child>
+<axis><xyz>0 0 1</xyz></axis></joint>
+<joint name="k" type="revolute"><parent>thigh_link</parent>
+<child>shank_link</child><axis><xyz>0 0 -1</xyz></axis></joint></model></sdf>"""
+
+
+@pytest.mark.parametrize("kind", ["urdf", "sdf"])
+@pytest.mark.parametrize("forward", ["x", "-x"])
+def test_a_file_s_zero_may_be_bent(kind, forward, caplog):
+    """Counted from there, links are where Drake's own parser has them."""
+    places = {
+        "base": "0 0 0 0 0 0",
+        "thigh": "0.02 0.1 -0.03 -1.5707963267948966 0 0",
+        "shank": "0.26 0.1 -0.31 -1.5707963267948966 0 0",
+    }
+    links = {}
+    for name, place in places.items():
+        own = name if name == "base" else f"{name}_link"
+        moments = {"ixx": 0.02, "iyy": 0.01, "izz": 0.02}
+        if kind == "urdf":
+            told = " ".join(f'{k}="{v}"' for k, v in moments.items())
+            links[name] = f"""<link name="{own}"><inertial>
+            <origin xyz="0.1 0.12 0.01"/><mass value="2"/>
+            <inertia {told} ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+        else:
+            told = "".join(f"<{k}>{v}</{k}>" for k, v in moments.items())
+            links[name] = f"""<link name="{own}"><pose>{place}</pose><inertial>
+            <pose>0.1 0.12 0.01 0 0 0</pose><mass>2</mass>
+            <inertia>{told}</inertia></inertial></link>"""
+    text = (BENT_URDF if kind == "urdf" else BENT_SDF).format(**links)
+    upright = {"h": 49.4, "k": -22.0}
+    worn = Assembly(
+        device=DeviceFile(
+            {"base": "pelvis"}, Path(f"d.{kind}"), forward, (), upright
+        ),
+        cuffs={
+            "thigh": CuffLinks("thigh", "thigh_link"),
+            "shank": CuffLinks("shank", "shank_link"),
+        },
+    )
+    caplog.clear()
+    model = Model(brought_in(worn, text), HUMAN)
+    assert not caplog.records
+    assert model.assembly.device.upright_deg == {}
+    plant = MultibodyPlant(0.0)
+    exact = text.replace("-1.5708", "-1.5707963267948966")
+    Parser(plant).AddModelsFromString(exact, kind)
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
+    plant.Finalize()
+    found = []
+    for one, zero in ((plant, upright), (model.plant(), {})):
+        context = one.CreateDefaultContext()
+        one.SetPositions(context, np.zeros(one.num_positions()))
+        for name, turned in (("h", 0.3), ("k", -0.5)):
+            angle = turned + np.deg2rad(zero.get(name, 0.0))
+            one.GetJointByName(name).set_angle(context, angle)
+        base = one.GetBodyByName("base").EvalPoseInWorld(context)
+        places = []
+        for name in ("thigh_link", "shank_link"):
+            body = one.GetBodyByName(name)
+            com = body.CalcCenterOfMassInBodyFrame(context)
+            at = body.EvalPoseInWorld(context) @ com
+            places.append(base.inverse() @ at)
+        found.append(np.array(places))
+    if forward == "-x":
+        found[1] *= (-1.0, -1.0, 1.0)
+    np.testing.assert_allclose(*found, atol=1e-9)
+    with pytest.raises(InputError, match="has no joint 'knee'; it has h, k"):
+        device = replace(worn.device, upright_deg={"knee": 10.0})
+        brought_in(replace(worn, device=device), text)
+    with pytest.raises(InputError, match="joint 'h' is fixed, at zero; leave"):
+        replace(worn.device, fixed=("h",))
+
+
+def _exactly(text):
+    return repr(round(float(text) / (np.pi / 2.0)) * (np.pi / 2.0))
+
+
+def test_a_device_with_y_up_hangs_from_a_link_that_turns_it():
+    """As docs/your_exoskeleton.md tells."""
+    page = Path(__file__).parents[2] / "docs/your_exoskeleton.md"
+    told = " ".join(page.read_text().split())
+    (turn,) = re.findall(
+        r'`(<link name="worn"/>)` and `(<joint.*?</joint>)`', told
+    )
+    link = """<link name="{}"><inertial><origin xyz="{}"/><mass value="2"/>
+    <inertia ixx="0.02" iyy="{}" izz="{}" ixy="0" ixz="0" iyz="0"/></inertial>
+    </link>"""
+    joint = """<joint name="motor" type="continuous"><parent link="base"/>
+    <child link="bar"/><axis xyz="{}"/></joint>"""
+    text = '<robot name="r">{}{}{}</robot>'
+    upright = text.format(
+        link.format("base", "-0.1 0 0.1", 0.03, 0.01),
+        link.format("bar", "0.01 0 -0.2", 0.03, 0.01),
+        joint.format("0 -1 0"),
+    )
+    y_up = text.format(
+        link.format("base", "-0.1 0.1 0", 0.01, 0.03),
+        link.format("bar", "0.01 -0.2 0", 0.01, 0.03),
+        joint.format("0 0 1") + "".join(turn),
+    )
+    trees = [
+        Model(
+            brought_in(
+                replace(HIP, device=DeviceFile(weld, HIP.device.file)), x
+            ),
+            HUMAN,
+        ).tree
+        for weld, x in (
+            ({"base": "pelvis"}, upright),
+            ({"worn": "pelvis"}, y_up),
+        )
+    ]
+    q, v, a = np.random.default_rng(0).normal(size=(3, 4, 7))
+    found, meant = (tree.inverse_dynamics(q, v, a) for tree in trees)
+    np.testing.assert_allclose(found, meant, atol=1e-9)
+    with pytest.raises(
+        InputError, match="weld a link whose x is forward and z"
+    ):
+        device = DeviceFile({"base": "pelvis"}, HIP.device.file)
+        Model(brought_in(replace(HIP, device=device), y_up), HUMAN).tree  # noqa: B018
+
+
+def test_other_angles_are_as_they_are_told():
+    for text in ("1.58", "1.56", "1.5", "0.002", "0", "-0.785", "x", "nan"):
+        assert device_file._quarters(text) == text
+    sdf = OLD_SDF.format(
+        version="1.9", rpy="1.57 0 3.1416", told="", axis="0 0 -1", more=""
+    )
+    device = DeviceFile({"shoe": "foot"}, Path("d.sdf"))
+    worn = Assembly(device=device, cuffs={"calf": CuffLinks("shank", "bar")})
+    assert Model(brought_in(worn, sdf), HUMAN).coordinates.device == ("motor",)
 
 
 def test_an_sdf_that_looks_backward_may_tell_its_turns_in_any_way():

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from opensim_answers import ask
 from osim_kinematics import Osim, joint_function
-from small_osim import small_osim
+from scipy.spatial.transform import Rotation
+from small_osim import in_axes_of, small_osim
 
 from drake_exo.errors import InputError
 from drake_exo.measurement.kinematics import inverse_dynamics
@@ -299,3 +300,180 @@ def test_fixed_joints_of_a_leg_are_refused_but_for_toes(small):
     weld = end.replace("PinJoint", "WeldJoint").replace(coordinate, "")
     with pytest.raises(InputError, match=r"'ankle_r' has no coordinate that"):
         small((end, weld))
+
+
+def leaning_back(kind, coordinate, lean="0 0 0"):
+    """Change of the small model: its back is a joint of another kind."""
+    text = small_osim()
+    start = text.index('<WeldJoint name="back">')
+    end = text.index("</WeldJoint>", start) + len("</WeldJoint>")
+    old = text[start:end]
+    new = old.replace("WeldJoint", kind).replace(
+        "<frames>", f"<coordinates>{coordinate}</coordinates><frames>"
+    )
+    upright = "<orientation>0 0 0</orientation>"
+    return old, new.replace(upright, f"<orientation>{lean}</orientation>", 1)
+
+
+def test_a_locked_back_is_one_that_is_welded_there(small):
+    """The osim-rl runner's is locked at -8 degrees; free ones are at zero."""
+    coordinate = (
+        '<Coordinate name="lumbar_extension"><default_value>-0.14'
+        "</default_value><locked>{}</locked></Coordinate>"
+    )
+    weld = small(leaning_back("WeldJoint", "", "0 0 -0.14"))
+    held = small(leaning_back("PinJoint", coordinate.format("true")))
+    free = small(leaning_back("PinJoint", coordinate.format("false")))
+    upright = small()
+    for found, meant in ((held, weld), (free, upright)):
+        assert found.human.thigh == meant.human.thigh
+        for key in ("com_m", "inertia_kg_m2"):
+            own, other = (getattr(x.human.pelvis, key) for x in (found, meant))
+            assert own == pytest.approx(other, abs=1e-12)
+        for name, (*on, place) in meant.markers.items():
+            assert found.markers[name][:2] == tuple(on)
+            assert found.markers[name][2] == pytest.approx(place)
+    assert held.human.pelvis.com_m[0] - upright.human.pelvis.com_m[0] > 0.03
+    assert any(
+        "has them by default (rad or m): lumbar_extension at -0.14" in note
+        for note in held.notes
+    )
+    assert not any("zero" in n and "lumbar" in n for n in held.notes)
+
+
+def test_a_hinge_of_the_person_is_at_zero_even_if_the_model_locks_it(small):
+    """Nor does it matter where the pelvis is locked."""
+    ankle = '<Coordinate name="ankle_angle_{}">'
+    changes = [
+        (
+            ankle.format(s),
+            f"{ankle.format(s)}<default_value>0.3</default_value>"
+            "<locked>true</locked>",
+        )
+        for s in "rl"
+    ]
+    locked = "<default_value>0.2</default_value><locked>true</locked>"
+    changes += [
+        (f'"{name}"/>', f'"{name}">{locked}</Coordinate>')
+        for name in ("pelvis_tilt", "pelvis_ty")
+    ]
+    held = small(*changes)
+    assert held.human == small().human
+    assert held.osim.rest == {}
+
+
+def test_toes_of_one_foot_alone_are_part_of_it(small):
+    """The other may be a prosthesis."""
+    text = small_osim()
+    ends = (
+        ('<Body name="toes_r">', "</Body>"),
+        ('<PinJoint name="mtp_r">', "</PinJoint>"),
+    )
+    cuts = [
+        text[text.index(a) : text.index(b, text.index(a)) + len(b)]
+        for a, b in ends
+    ]
+    cuts += [
+        line[: line.index("</Marker>") + len("</Marker>")]
+        for line in (
+            text[text.index(f'<Marker name="toe{k}_r">') :] for k in (1, 2)
+        )
+    ]
+    changes = [(cut, "") for cut in cuts]
+    person = small(*changes)
+    assert person.human.toes is None
+    assert person.human.mass_kg == pytest.approx(65.0 - 0.2)
+    assert person.human.foot.mass_kg == pytest.approx(2 * 1.3 + 0.2)
+    assert person.markers["toe1_l"][:2] == ("foot", "left")
+    with pytest.raises(InputError, match="no bodies toes_r and toes_l"):
+        small(*changes, who=Person("two", "hinged"))
+
+
+@pytest.mark.parametrize("moved", [0.0, 0.05, 0.13, 0.25, -1.0])
+def test_a_heel_elsewhere_than_calcn_s_origin_is_told(small, moved):
+    """Its frame lies at a joint, or where CT had it; else soles are wrong."""
+    changes = [
+        (f"-0.05 -0.045 {w}0.01", f"{-0.05 + moved} -0.045 {w}0.01")
+        for w in ("", "-")
+    ]
+    changes.append(("0.18 -0.002 0", f"{0.18 - moved} -0.002 0"))
+    changes.append(("0.1 0.03 0", f"{0.1 - moved} 0.03 0"))
+    person, plain = small(*changes), small()
+    usual = scale_human(plain.human.mass_kg, 1.75).foot
+    human, length = person.human, 0.18 / 0.72
+    if moved:
+        length = usual.length_m
+    assert human.foot.length_m == pytest.approx(length)
+    assert human.toes.length_m == pytest.approx(0.28 * length)
+    own = plain.human
+    for key in ("heel_m", "toe_m"):
+        x, z = getattr(own, key)
+        x *= length / own.foot.length_m
+        assert getattr(human, key) == pytest.approx((x, z))
+    assert human.ball_m == pytest.approx(own.ball_m)
+    assert human.foot.com_m == pytest.approx(own.foot.com_m)
+    said = [note for note in person.notes if "is not at the heel" in note]
+    assert len(said) == (1 if moved else 0)
+    assert not moved or f"{(0.18 - moved) / 0.72:.2f} m long" in said[0]
+
+
+@pytest.mark.parametrize("vector", [(0, 0, 0.3), (2.0, -0.5, 1.0)])
+def test_a_pelvis_may_have_axes_of_its_own(tmp_path, vector):
+    """Such as CT's: upright is as its joint to the ground has it."""
+    R = Rotation.from_rotvec(vector).as_matrix()
+    found = []
+    for text in (small_osim(), in_axes_of(R, small_osim())):
+        (tmp_path / "m.osim").write_text(text)
+        found.append(read_person(tmp_path / "m.osim", Person(), 1.75))
+    plain, other = found
+    for name in ("foot", "thigh", "pelvis", "toes"):
+        for key in ("mass_kg", "com_m", "inertia_kg_m2", "length_m"):
+            own, meant = (getattr(getattr(p.human, name), key)
+                          for p in (other, plain))  # fmt: skip
+            assert own == pytest.approx(meant)
+    assert other.notes == plain.notes
+    for name, (segment, side, place) in plain.markers.items():
+        assert other.markers[name][:2] == (segment, side)
+        assert other.markers[name][2] == pytest.approx(place)
+
+
+CHAIR = (
+    '<Body name="chair"><mass>9</mass><inertia>1 1 1 0 0 0</inertia></Body>',
+    """<WeldJoint name="legs"><socket_parent_frame>/ground</socket_parent_frame>
+    <socket_child_frame>/bodyset/chair</socket_child_frame></WeldJoint>""",
+    """<Marker name="seat"><socket_parent_frame>/bodyset/chair
+    </socket_parent_frame><location>0 0.4 0</location></Marker>""",
+)
+
+
+def test_what_stands_on_the_ground_is_not_the_person(small):
+    places = ("BodySet", "JointSet", "MarkerSet")
+    changes = [
+        (f'<{s} name="{s.lower()}"><objects>', f"<{s}><objects>{more}")
+        for s, more in zip(places, CHAIR, strict=True)
+    ]
+    person, plain = small(*changes), small()
+    assert person.human == plain.human
+    assert person.markers == plain.markers
+    assert person.osim.mass_kg == pytest.approx(65.0)
+    assert "left out, as the ground holds them, not the pelvis: chair" in (
+        person.notes
+    )
+    tied = ("<socket_parent_frame>/ground<", "<socket_parent_frame>chair<")
+    held = [(old, new.replace(*tied)) for old, new in changes[:1]]
+    held += [tied, (changes[1][0], changes[1][1])]
+    with pytest.raises(InputError, match="'pelvis' hangs from 'chair', not"):
+        small(*held)
+
+
+def test_toes_of_no_weight_may_be_rigid(small):
+    """Some programs leave all of the foot's mass to calcn and talus."""
+    light = ("<mass>0.2<", "<mass>0<")
+    person = small(light, ("0.0001 0.0002 0.0003 0", "0 0 0 0"))
+    assert person.human.toes is None
+    plain = small()
+    assert person.human.foot.mass_kg == pytest.approx(2 * 1.3)
+    assert person.human.foot.length_m == plain.human.foot.length_m
+    assert person.human.toe_m == plain.human.toe_m
+    with pytest.raises(InputError, match="the toes weighs nothing"):
+        small(light, who=Person("two", "hinged"))

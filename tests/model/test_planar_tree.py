@@ -23,6 +23,16 @@ _LINKS = {
 }
 
 
+def test_hinges_are_where_drake_has_them():
+    plant = _plant()
+    tree = PlanarTree.from_plant(plant)
+    context = plant.CreateDefaultContext()
+    for name in ("a", "b", "c"):
+        frame = plant.GetJointByName(name).frame_on_parent()
+        x, _, z = frame.CalcPoseInWorld(context).translation()
+        np.testing.assert_allclose(tree.hinge_place(name), [x, z], atol=1e-12)
+
+
 def _plant(axis=(0.0, -1.0, 0.0)):
     """A branched tree: base with chain a-b and branch c; a weld on b."""
     plant = MultibodyPlant(0.0)

@@ -1,5 +1,6 @@
 """Contacts, cuffs and device in an OpenSim model, against OpenSim's forces."""
 
+import re
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 from opensim_answers import ask
 from scipy.spatial.transform import Rotation
-from small_osim import small_osim
+from small_osim import in_axes_of, small_osim
 
 from drake_exo.calibration.results import write_contact, write_model
 from drake_exo.cli import main
@@ -91,9 +92,16 @@ class Case:
 def case(tmp_path):
     """Makes results whose movement is any, with feet near the ground."""
 
-    def made(kind, knee="CustomJoint", law="simbody", scale=1.1, shift=0.012):
+    def made(
+        kind,
+        knee="CustomJoint",
+        law="simbody",
+        scale=1.1,
+        shift=0.012,
+        changed=str,
+    ):
         osim = tmp_path / "m.osim"
-        osim.write_text(small_osim(knee))
+        osim.write_text(changed(small_osim(knee)))
         assembly = MODELS[kind]
         human = read_person(osim, assembly.human, 1.75).human
         parts = {
@@ -377,11 +385,77 @@ def exported(one):
     return out, read_osim(out), q, v
 
 
+CT = Rotation.from_rotvec([2.0, -0.5, 1.0]).as_matrix()
+
+
+def leaning(text):
+    """With its back locked at 17 degrees, and without numbers that are zero."""
+    text = text.replace("<mass_center>0 0 0</mass_center>", "")
+    text = text.replace("<inertia>0.001 0.001 0.001 0 0 0</inertia>", "")
+    before, joint = text.split('<WeldJoint name="back">')
+    joint, after = joint.split("</WeldJoint>", 1)
+    return f"""{before}<PinJoint name="back">{joint}<coordinates>
+        <Coordinate name="lumbar_extension"><default_value>0.3</default_value>
+        <locked>true</locked></Coordinate></coordinates></PinJoint>{after}"""
+
+
+def loose(text):
+    """With knees of six coordinates, whose bones are 0.05 m apart."""
+    names = ("angle", "add", "rot", "tx", "ty", "tz")
+    axes = ("0 0 1", "1 0 0", "0 1 0", "1 0 0", "0 1 0", "0 0 1")
+    for s in "rl":
+        start = text.index(f'<PinJoint name="knee_{s}">')
+        pin = text[start : text.index("</PinJoint>", start)]
+        (old,) = re.findall("<coordinates>.*?</coordinates>", pin, re.DOTALL)
+        coordinates = "".join(
+            f'<Coordinate name="knee_{name}_{s}"><default_value>'
+            f"{-0.05 if name == 'ty' else 0.0}</default_value></Coordinate>"
+            for name in names
+        )
+        transform = "".join(
+            f'<TransformAxis name="{"rotation" if k < 3 else "translation"}'
+            f'{k % 3 + 1}"><coordinates>knee_{name}_{s}</coordinates>'
+            f"<axis>{axis}</axis><LinearFunction/></TransformAxis>"
+            for k, (name, axis) in enumerate(zip(names, axes, strict=True))
+        )
+        free = pin.replace("PinJoint", "CustomJoint").replace(
+            old, f"<coordinates>{coordinates}</coordinates>"
+        )
+        free += f"<SpatialTransform>{transform}</SpatialTransform>"
+        text = text.replace(f"{pin}</PinJoint>", f"{free}</CustomJoint>")
+    return text
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["two legs", "coupled", "turned ankle"])
-def test_with_pins_all_bodies_are_where_the_planar_ones_are(case, kind):
+def test_bones_that_are_apart_by_default_stay_apart(case):
+    one = case("two legs", "PinJoint", changed=loose)
+    assert one.model.human.thigh.length_m == pytest.approx(
+        np.hypot(0.45, 0.004)
+    )
+    _, model, q, _ = exported(one)
+    assert model.rest == {"knee_ty_r": -0.05, "knee_ty_l": -0.05}
+    for s in "rl":
+        np.testing.assert_allclose(q[f"knee_ty_{s}"], -0.05, atol=1e-6)
+        assert np.abs(q[f"knee_angle_{s}"]).max() > 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "changed"),
+    [
+        ("two legs", str),
+        ("two legs", leaning),
+        ("coupled", str),
+        ("coupled", leaning),
+        ("coupled", lambda text: in_axes_of(CT, text)),
+        ("turned ankle", str),
+    ],
+)
+def test_with_pins_all_bodies_are_where_the_planar_ones_are(
+    case, kind, changed
+):
     """Centre of mass, momentum and kinetic energy, person and device."""
-    one = case(kind, "PinJoint")
+    one = case(kind, "PinJoint", changed=changed)
     _, model, q, v = exported(one)
     tree, trial = one.model.tree, one.trial
     n, h = len(trial.times), 1e-6
