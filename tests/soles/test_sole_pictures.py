@@ -413,6 +413,7 @@ def test_both_costs_over_the_brick_s():
     ]
     assert axis.lines[0].get_color() == axis.lines[1].get_color()
     assert "tr" in axis.get_xlabel() and "rot" in axis.get_ylabel()
+    assert "initial shape" in axis.get_xlabel()
     axis.set_xlim(0.48, 2.4)
     FigureCanvasAgg(axis.figure).draw()
     ticks = axis.get_xticklabels(which="both")
