@@ -78,7 +78,11 @@ def step_checks(step) -> tuple[Check, ...]:
     else:
         q, status = failed[0], step.history.reports[failed[0]].message
         # Counted from 1, as the table of finite strain counts.
-        said = f"sample {q + 1} at {step.times[q]:g} s: {status}"
+        phases, place = step.setup.load.phases, ""
+        if len(phases) > 1:  # times run on from load to load
+            k = next(k for k, rows in enumerate(phases) if q < rows.stop)
+            place = f" (sample {q + 1 - phases[k].start} of loads[{k}])"
+        said = f"sample {q + 1} at {step.times[q]:g} s{place}: {status}"
         pressed = step.pressed
         if pressed > SMALL_STRAIN:
             said += (

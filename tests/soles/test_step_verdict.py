@@ -75,6 +75,8 @@ def test_a_sample_that_failed_is_named_by_its_time():
     check = _told()["solved"]
     assert not check.holds and check.value == 1
     assert "sample 3 at 0.25 s: lost" in check.sentence
+    two = _told(phases=[slice(0, 1), slice(1, 3)])["solved"].sentence
+    assert "sample 3 at 0.25 s (sample 2 of loads[1]): lost" in two
     assert _told(converged=np.ones(3, bool))["solved"].holds
     assert list(_told(converged=np.zeros(3, bool))) == ["solved"]
     assert "youngs_modulus_pa" not in check.sentence
