@@ -160,6 +160,7 @@ def test_pose_and_stability_are_of_what_converged_and_is_free():
     assert "leans" in lean.sentence
     over = _told(tilt_deg=np.array([178.0, 1.0, 0.0]))["plausibility.tilt"]
     assert not over.holds and "turned over" in over.sentence
+    assert (lean.level, over.level) == ("note", "fail")
     loose = _told(stability=np.array([-5.0, 0.0, np.nan]))
     check = loose["plausibility.stability"]
     assert not check.holds and check.value == -5.0
