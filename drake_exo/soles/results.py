@@ -110,7 +110,7 @@ def step_checks(step) -> tuple[Check, ...]:
             value,
             *said,
             "fail" if name == "tilt" and value >= _OVER_DEG else "note",
-        )  # fmt: skip
+        )
         for name, holds, value, *said in _notes(step)
     ]
     worst = step.complementarity()
