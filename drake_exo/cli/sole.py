@@ -209,6 +209,7 @@ def _simulate(args) -> int:
         # A fine mesh takes a minute before its first sample.
         print(f"{case.name}: {tets} tets, {samples} samples", flush=True)
         step = case.simulate(lambda done, _: progress.update("samples", done))
+        progress.update("pictures", samples)
         verdict = step.write(out, seconds, args.accept)
     print(
         f"{case.name}: c_tr {step.c_tr:.4g} N/m, c_rot {step.c_rot:.4g} "
