@@ -414,7 +414,10 @@ def read_mesh(
             x, or a top that needs an origin.
     """
     path = Path(path)
-    remedy = "give Gmsh .msh, .vtk, .vtu or another format known to meshio"
+    remedy = (
+        "give a surface (.stl, .obj) or tetrahedra (Gmsh .msh, .vtk, .vtu or "
+        "another format known to meshio)"
+    )
     nodes, tets, said = read_cells(path, "tetra", remedy)
     if len(tets) == 0:
         raise InputError(

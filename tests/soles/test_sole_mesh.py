@@ -139,6 +139,12 @@ def test_cells_that_are_no_tets_are_not_left_out(tmp_path):
         read_mesh(path)
 
 
+def test_a_robot_s_mesh_of_another_kind_is_told_of_surfaces(tmp_path):
+    (tmp_path / "foot.dae").write_text("<COLLADA/>")
+    with pytest.raises(InputError, match=r"give a surface \(.stl, .obj\) or t"):
+        read_mesh(tmp_path / "foot.dae")
+
+
 def test_a_nastran_file_that_is_cut_off_is_refused(tmp_path):
     """After its first line of data meshio would read on forever."""
     path = tmp_path / "sole.bdf"
