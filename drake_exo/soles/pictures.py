@@ -132,6 +132,8 @@ def load_figure(
     sole's nodes as it is set down [m], (m, 2).
     """
     figure, (left, right) = panels(1, 2, (9.0, 3.8))
+    # With less, equal scales push long labels on the left out of the figure.
+    figure.get_layout_engine().set(w_pad=0.12)
     around = ConvexHull(outline).vertices
     ring = 1e3 * outline[np.append(around, around[0])]
     left.fill(*ring.T, color="0.93", zorder=0)
