@@ -212,6 +212,7 @@ def _simulate(args) -> int:
         # A fine mesh takes a minute before its first sample.
         print(f"{case.name}: {tets} tets, {samples} samples", flush=True)
         step = case.simulate(lambda done, _: progress.update("samples", done))
+        progress.update("pictures", samples)
         verdict = step.write(out, seconds, args.accept)
         folder.end(verdict.exit_code)
     print(

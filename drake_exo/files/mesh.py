@@ -99,8 +99,8 @@ def read_cells(
         data of the nodes by name, as the file has them.
 
     Raises:
-        InputError: unreadable or damaged, nodes that are not finite, or cells
-            that refer to missing nodes.
+        InputError: unreadable or damaged, nodes that are not finite, cells
+            that refer to missing nodes, or further cells of that dimension.
     """
     start = read_bytes(path)
     read = _READERS.get(path.suffix.lower(), meshio.read)
@@ -113,11 +113,20 @@ def read_cells(
         # meshio would search for the end of a .ply's header forever.
         if start.startswith(b"ply") and b"end_header" not in start:
             raise ValueError("its header does not end")
+        # Nor does meshio stop for a Nastran file that is cut off here.
+        if b"BEGIN BULK" in start and b"ENDDATA" not in start:
+            raise ValueError("it does not end with ENDDATA")
         if re.search(rb"^\$MeshFormat\s+2\S*\s+0\s", start, re.MULTILINE):
             _check_gmsh(start)
         with _quiet():
             raw = read(path)
-            cells = [b.data for b in raw.cells if b.type == cell_type]
+            blocks = [b for b in raw.cells if b.type == cell_type]
+            cells = [b.data for b in blocks]
+            others = {
+                b.type: len(b.data)
+                for b in raw.cells
+                if blocks and b.type != cell_type and b.dim == blocks[0].dim
+            }
             found = np.concatenate(cells) if cells else np.zeros((0, 1))
             nodes = np.asarray(raw.points, float)
     # meshio may exit the process; undecodable bytes mean a truncated file.
@@ -138,6 +147,12 @@ def read_cells(
         raise InputError(
             f"{path}: places of nodes are missing or out of all bounds; "
             f"{remedy}"
+        )
+    for other, count in others.items():
+        raise InputError(
+            f"{path}: has {count} cells of type {other} beside its "
+            f"{cell_type} cells, which alone are read; mesh all of it in "
+            f"{cell_type} cells"
         )
     if found.size and (found.min() < 0 or found.max() >= len(nodes)):
         raise InputError(

@@ -324,11 +324,14 @@ def _points(summary: dict, key: str) -> list[dict]:
 def line(row: dict) -> str:
     """One line on a finished case, from its summary."""
     finer = row.get("finer")
-    on_finer = (
-        "" if finer is None or finer["design"] is None else
-        f"{_number(finer['design']['c'], '.4g')} on {finer['tets']} tets, "
-        f"{_number(finer['change'], '+.1%')}; "
-    )  # fmt: skip
+    there, on_finer = (finer or {}).get("design"), ""
+    if there is not None and there["failed_steps"]:
+        on_finer = f"no equilibrium on {finer['tets']} tets; "
+    elif there is not None:
+        on_finer = (
+            f"{_number(there['c'], '.4g')} on {finer['tets']} tets, "
+            f"{_number(finer['change'], '+.1%')}; "
+        )
     found = (row.get("gait") or {}).get("walk", {})
     walk = [f"{name} {a:.3g} → {b:.3g}" for name, (a, b) in found.items()]
     return (
@@ -434,7 +437,7 @@ def certainty_table(rows: list[dict]) -> str:
 
 
 def _number(value, form: str) -> str:
-    if value is None:
+    if value is None or np.isnan(value):
         return f"{'-':>{form.strip('+').split('.')[0]}s}"
     return f"{value:{form}}"
 

@@ -388,6 +388,7 @@ class Load:
             off = np.subtract(*(s.min(axis=0) + s.max(axis=0) for s in spans))
             front = "in front" if off[0] >= 0 else "behind"
             left = "left" if off[1] >= 0 else "right"
+            most = self.force[outside, 2].max()
             unit = ""
             if distance[outside].max() > _FAR_M:
                 unit = "; the ZMP is in m, not mm"
@@ -395,7 +396,8 @@ class Load:
                 f"{self.name}: the ZMP is outside the sole by "
                 f"{1e3 * distance[q]:.1f} mm at {self.times[q]:g} s (x {x:.4f} "
                 f"m, y {y:.4f} m in the load's frame, {outside.sum()} of "
-                f"{len(outside)} samples{unit}); the middle of its path lies "
+                f"{len(outside)} samples{unit}; {most:.3g} N at most there); "
+                "the middle of its path lies "
                 f"{abs(500 * off[0]):.0f} mm {front} and "
                 f"{abs(500 * off[1]):.0f} mm to the {left} of the sole's: move "
                 "the load (by its origin_m and yaw_rad, shift_m, "

@@ -414,7 +414,10 @@ def read_mesh(
             x, or a top that needs an origin.
     """
     path = Path(path)
-    remedy = "give Gmsh .msh, .vtk, .vtu or another format known to meshio"
+    remedy = (
+        "give a surface (.stl, .obj) or tetrahedra (Gmsh .msh, .vtk, .vtu or "
+        "another format known to meshio)"
+    )
     nodes, tets, said = read_cells(path, "tetra", remedy)
     if len(tets) == 0:
         raise InputError(
@@ -435,6 +438,8 @@ def read_mesh(
         top = np.flatnonzero(fixed[used] > 0)
     else:
         top = np.flatnonzero(nodes[:, 2] > nodes[:, 2].max() - 1e-7 * extent)
+    if (TetMesh(nodes, tets, top).volumes < 0).all():  # as after mirroring
+        tets = _oriented(nodes, [tets])
     if origin is None:
         origin = _guess_origin(TetMesh(nodes, tets, top), extent, path)
     mesh = checked_mesh(nodes - np.asarray(origin), tets, top, str(path))

@@ -132,6 +132,8 @@ def load_figure(
     sole's nodes as it is set down [m], (m, 2).
     """
     figure, (left, right) = panels(1, 2, (9.0, 3.8))
+    # With less, equal scales push long labels on the left out of the figure.
+    figure.get_layout_engine().set(w_pad=0.12)
     around = ConvexHull(outline).vertices
     ring = 1e3 * outline[np.append(around, around[0])]
     left.fill(*ring.T, color="0.93", zorder=0)
@@ -405,7 +407,7 @@ def histories_figure(histories: Mapping[str, Mapping[str, np.ndarray]]):
 def pareto_figure(
     fronts: dict[str, list[dict]], rows=(), paper: dict | None = None
 ) -> Figure:
-    """c_tr against c_rot, over the brick's, beside the paper's.
+    """c_tr against c_rot, over the initial shape's, beside the paper's.
 
     Args:
         fronts: Points with ratio_tr and ratio_rot, by label.
@@ -431,8 +433,8 @@ def pareto_figure(
         )  # fmt: skip
     axis.set(
         xscale="log",
-        xlabel=r"$c^{tr}$ over the brick's (less is better)",
-        ylabel=r"$c^{rot}$ over the brick's (more is better)",
+        xlabel=r"$c^{tr}$ over the initial shape's (less is better)",
+        ylabel=r"$c^{rot}$ over the initial shape's (more is better)",
     )
     axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.xaxis.set_major_formatter("{x:g}")

@@ -42,6 +42,7 @@ from drake_exo.soles.simulation import (
 # turns elements inside out.
 SMALL_STRAIN, _INSIDE_OUT = 0.3, 1.0
 _TILT_DEG = 20.0  # beyond, a small-strain pose is not a real foot's
+_OVER_DEG = 90.0  # tilt of a foot that has turned over
 _ZMP_ERROR = 0.02  # metres
 _NEAR_SLIP = 0.95  # largest part of μ that a load may use
 # Less force [N] or a longer contact [s] suggests other units.
@@ -78,7 +79,11 @@ def step_checks(step) -> tuple[Check, ...]:
     else:
         q, status = failed[0], step.history.reports[failed[0]].message
         # Counted from 1, as the table of finite strain counts.
-        said = f"sample {q + 1} at {step.times[q]:g} s: {status}"
+        phases, place = step.setup.load.phases, ""
+        if len(phases) > 1:  # times run on from load to load
+            k = next(k for k, rows in enumerate(phases) if q < rows.stop)
+            place = f" (sample {q + 1 - phases[k].start} of loads[{k}])"
+        said = f"sample {q + 1} at {step.times[q]:g} s{place}: {status}"
         pressed = step.pressed
         if pressed > SMALL_STRAIN:
             said += (
@@ -99,8 +104,14 @@ def step_checks(step) -> tuple[Check, ...]:
               "fail" if is_worse else "note")
     )  # fmt: skip
     checks += [
-        check(f"plausibility.{name}", *said, "note")
-        for name, *said in _notes(step)
+        check(
+            f"plausibility.{name}",
+            holds,
+            value,
+            *said,
+            "fail" if name == "tilt" and value >= _OVER_DEG else "note",
+        )
+        for name, holds, value, *said in _notes(step)
     ]
     worst = step.complementarity()
     checks.append(
@@ -157,7 +168,7 @@ def _notes(step):
         yield (
             "tilt", tilt <= _TILT_DEG, tilt, _TILT_DEG, "°",
             "the foot leans far over: a small push may tip it"
-            if tilt < 90.0
+            if tilt < _OVER_DEG
             else "the foot has turned over: what was found there is not a step",
         )  # fmt: skip
         margin = float(np.nanmin(step.stability[free]))

@@ -189,10 +189,12 @@ def _merged(nodes, faces) -> tuple[np.ndarray, np.ndarray]:
 def _coincident(places) -> tuple[np.ndarray, np.ndarray]:
     """Indices of distinct places, to 1e-6 of the extent; which one each is."""
     step = 1e-6 * np.ptp(places, axis=0).max()
-    _, first, which = np.unique(
-        np.round(places / step), axis=0, return_index=True, return_inverse=True
-    )
-    return first, which.ravel()
+    distinct, exact = np.unique(places, axis=0, return_inverse=True)
+    pairs = cKDTree(distinct).query_pairs(step, output_type="ndarray")
+    group = connected(len(distinct), *pairs.T)[1][exact.ravel()]
+    _, first, which = np.unique(group, return_index=True, return_inverse=True)
+    order = np.lexsort(np.round(places[first] / step).T[::-1])
+    return first[order], np.argsort(order)[which.ravel()]
 
 
 def _parted(path, nodes, faces) -> tuple[np.ndarray, np.ndarray]:

@@ -210,7 +210,13 @@ def test_a_finer_mesh_has_twice_the_cells_and_few_more(divisions, by_hand):
 
 @pytest.mark.slow
 def test_the_finer_check_is_a_simulation_on_a_finer_brick(design):
-    finer = design.check_finer()
+    said = []
+    finer = design.check_finer(said.append)
+    samples = len(design.setup.load.times)
+    every = [
+        f"finer mesh, {q + 1} of {samples} samples" for q in range(samples)
+    ]
+    assert said == 2 * every
     divisions = settings._at_least_twice((4, 3, 2))
     assert finer["tets"] == 6 * np.prod(divisions)
     base = brick((0.23, 0.13, 0.03), divisions)
@@ -325,9 +331,7 @@ def test_seconds_and_figures_are_of_the_run(design, tmp_path, monkeypatch):
     )
     monkeypatch.setattr(Step, "draw", later)
     monkeypatch.setattr(type(design), "_draw", later)
-    monkeypatch.setattr(
-        type(design), "check_finer", lambda self: later() or None
-    )
+    monkeypatch.setattr(type(design), "check_finer", lambda *_: later() or None)
     monkeypatch.setattr(
         module, "compare_strains", lambda *_: later() or {"kind": "none"}
     )

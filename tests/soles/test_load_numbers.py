@@ -192,6 +192,7 @@ def test_a_zmp_outside_is_told_by_how_much():
     said = str(caught.value)
     assert "outside the sole by 5.0 mm at 0.5 s" in said
     assert "x 0.2050 m, y 0.0500 m" in said and "2 of 3 samples" in said
+    assert "100 N at most there)" in said  # what least_force_n has to leave out
     # Its middle at (180, 50) mm, the sole's at (50, 10).
     assert (
         "130 mm in front and 40 mm to the left" in said

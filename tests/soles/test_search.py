@@ -290,7 +290,7 @@ def test_a_stage_goes_on_where_it_stands(case, monkeypatch):
     assert [(c.stage, c.iteration) for c in kept] == [(1, 7)]
     assert (new.stage, new.iteration, new.barrier) == (1, 0, 1e-7)
     np.testing.assert_array_equal(new.latest, p + 1)
-    assert said[2].startswith("stage 2/2, iteration 6: c/|c0| -2.5000, viol")
+    assert said[2].startswith("stage 2/2, iteration 6: cost -2.5000, viol")
     assert "violation 2.5e-01, error 1.2e-01" in said[2]
     _, new = search._run_stage(setup, 0, Checkpoint(p=p, latest=p), None, str)
     assert (new.stage, given["left"], given["refining"]) == (1, 5, False)

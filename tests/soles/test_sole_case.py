@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import meshio
@@ -12,6 +13,7 @@ import pytest
 
 from drake_exo import cli
 from drake_exo.errors import InputError
+from drake_exo.files.output import Progress
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.load_blocks import (
     Constant,
@@ -52,9 +54,14 @@ def _run(folder, *more):
 
 
 @pytest.mark.slow
-def test_a_case_runs_and_leaves_its_results(folder, capsys):
+def test_a_case_runs_and_leaves_its_results(folder, capsys, monkeypatch):
+    every = partial(Progress, interval_seconds=0.0)
+    monkeypatch.setattr("drake_exo.cli.sole._progress", every)
     assert _run(folder) == 0
     said = capsys.readouterr().out.splitlines()
+    assert [line.partition(" (")[0] for line in said[1:5]] == [
+        *(f"small: {q}/3, samples" for q in (1, 2, 3)), "small: 3/3, pictures",
+    ]  # fmt: skip
     numbers = json.loads((folder / "out" / "summary.json").read_text())
     for key in ("c_tr", "c_rot", "c", "steps", "failed_steps",
                 "contact_nodes", "tets", "simulation_seconds"):  # fmt: skip

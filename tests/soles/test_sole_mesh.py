@@ -119,6 +119,40 @@ def test_files_of_other_formats_are_read(tmp_path, suffix):
     np.testing.assert_array_equal(back.contact, mesh.contact)
 
 
+def test_a_mirrored_mesh_is_read(tmp_path):
+    """The other foot's: all tets list their nodes the other way round."""
+    mesh, path = brick(SIZE, (3, 2, 2)), tmp_path / "left.vtk"
+    nodes = mesh.nodes * [1, -1, 1]
+    meshio.Mesh(nodes, [("tetra", mesh.tets)]).write(path)
+    back = read_mesh(path)
+    np.testing.assert_allclose(back.volumes, mesh.volumes)
+    np.testing.assert_array_equal(back.nodes, nodes)
+
+
+def test_cells_that_are_no_tets_are_not_left_out(tmp_path):
+    """A half of hexahedra would be missing in the sole."""
+    mesh, path = brick(SIZE, (3, 2, 2)), tmp_path / "sole.msh"
+    hexa = np.array([[0, 4, 6, 2, 1, 5, 7, 3]])
+    cells = [("tetra", mesh.tets), ("hexahedron", hexa)]
+    meshio.write(path, meshio.Mesh(mesh.nodes, cells), file_format="gmsh22")
+    with pytest.raises(InputError, match="1 cells of type hexahedron beside"):
+        read_mesh(path)
+
+
+def test_a_robot_s_mesh_of_another_kind_is_told_of_surfaces(tmp_path):
+    (tmp_path / "foot.dae").write_text("<COLLADA/>")
+    with pytest.raises(InputError, match=r"give a surface \(.stl, .obj\) or t"):
+        read_mesh(tmp_path / "foot.dae")
+
+
+def test_a_nastran_file_that_is_cut_off_is_refused(tmp_path):
+    """After its first line of data meshio would read on forever."""
+    path = tmp_path / "sole.bdf"
+    path.write_text("$ made by a mesher\nBEGIN BULK\n")
+    with pytest.raises(InputError, match="does not end with ENDDATA"):
+        read_mesh(path)
+
+
 def test_inverted_element_is_refused():
     mesh = brick(SIZE, (2, 2, 2))
     tets = mesh.tets.copy()

@@ -178,6 +178,18 @@ def test_heel_strike_is_where_the_load_begins(mesh):
     assert "mm" in left.get_xlabel() and "[N]" in right.get_ylabel()
 
 
+def test_a_load_far_from_the_origin_is_labelled_within_the_figure():
+    """A yawed sole at (1.3, -0.4) m, whose numbers are long."""
+    outline = [[1.178, -0.381], [1.371, -0.299], [1.422, -0.419],
+               [1.229, -0.501]]  # fmt: skip
+    zmp = [[1.229, -0.452], [1.3, -0.39], [1.381, -0.386]]
+    force = [[0.0, 0.0, 140.0], [-60.0, 40.0, 970.0], [40.0, 0.0, 125.0]]
+    load = Load([0.0, 0.35, 0.71], force, zmp)
+    figure = pictures.load_figure(load, np.array(outline), FLAT)
+    FigureCanvasAgg(figure).draw()
+    assert figure.axes[0].yaxis.label.get_window_extent().x0 > 0
+
+
 def test_uneven_ground_is_drawn_under_the_sole(mesh):
     """Its ridge along y where it lies, its height in millimetres."""
     x, y = np.linspace(-3.0, 3.0, 301), np.linspace(-2.0, 2.0, 21)
@@ -413,6 +425,7 @@ def test_both_costs_over_the_brick_s():
     ]
     assert axis.lines[0].get_color() == axis.lines[1].get_color()
     assert "tr" in axis.get_xlabel() and "rot" in axis.get_ylabel()
+    assert "initial shape" in axis.get_xlabel()
     axis.set_xlim(0.48, 2.4)
     FigureCanvasAgg(axis.figure).draw()
     ticks = axis.get_xticklabels(which="both")

@@ -85,6 +85,12 @@ def test_certainty_table_marks_what_is_unknown():
              "ratio_rot": 0.9, "volume_cm3": 8e2, "optimal": True}  # fmt: skip
     row |= costs | {"finer": None}
     assert paper.line(row | {"seconds": 99.0}) == paper.line(row)
+    lost = {"c": np.nan, "failed_steps": 2}
+    lost = {"tets": 99, "change": np.nan, "brick_change": 0.01, "design": lost}
+    row |= {"finer": lost}
+    assert "c 5e+05 on 9 tets, no equilibrium on 99 tets; " in paper.line(row)
+    assert "nan" not in certainty_table([row]) + paper.line(row)
+    row |= {"finer": None}
     row["gait"] = {"walk": {"step_time": [0.9, 0.8], "aim_x": [0, 0.01]}}
     walk = "; walk: step_time 0.9 → 0.8, aim_x 0 → 0.01"
     assert paper.line(row).endswith(walk)

@@ -75,6 +75,8 @@ def test_a_sample_that_failed_is_named_by_its_time():
     check = _told()["solved"]
     assert not check.holds and check.value == 1
     assert "sample 3 at 0.25 s: lost" in check.sentence
+    two = _told(phases=[slice(0, 1), slice(1, 3)])["solved"].sentence
+    assert "sample 3 at 0.25 s (sample 2 of loads[1]): lost" in two
     assert _told(converged=np.ones(3, bool))["solved"].holds
     assert list(_told(converged=np.zeros(3, bool))) == ["solved"]
     assert "youngs_modulus_pa" not in check.sentence
@@ -158,6 +160,7 @@ def test_pose_and_stability_are_of_what_converged_and_is_free():
     assert "leans" in lean.sentence
     over = _told(tilt_deg=np.array([178.0, 1.0, 0.0]))["plausibility.tilt"]
     assert not over.holds and "turned over" in over.sentence
+    assert (lean.level, over.level) == ("note", "fail")
     loose = _told(stability=np.array([-5.0, 0.0, np.nan]))
     check = loose["plausibility.stability"]
     assert not check.holds and check.value == -5.0

@@ -58,6 +58,18 @@ def test_lengths_are_metres_whatever_the_file_s_unit(tmp_path, scale, unit):
     assert surface.volume == pytest.approx(np.prod(SIZE), rel=1e-5)
 
 
+def test_corners_a_rounding_apart_are_one(tmp_path):
+    """Where a program writes each triangle's by itself, in single precision."""
+    path, corners = tmp_path / "sole.stl", _brick_surface()
+    off = np.random.default_rng(0).normal(0, 2e-8, corners.shape)
+    write_triangles(path, corners + off)
+    surface = read_surface(path)
+    assert len(np.unique(surface.corners.reshape(-1, 3), axis=0)) == len(
+        np.unique(corners.reshape(-1, 3), axis=0)
+    )
+    assert surface.volume == pytest.approx(np.prod(SIZE), rel=1e-5)
+
+
 def test_triangles_that_look_inwards_are_turned(tmp_path):
     path = tmp_path / "sole.obj"
     _obj(path, _brick_surface()[:, ::-1])

@@ -118,6 +118,19 @@ def test_what_does_not_move_is_not_limited(bent):
     assert found["depth"] == pytest.approx(-shaped.nodes[level, 2].max())
 
 
+def test_a_face_on_an_upright_edge_that_is_held_has_no_draft():
+    """Whatever its third node does: a search would never be within it."""
+    mesh = brick(SIZE, (8, 4, 2))
+    moving = np.abs(mesh.nodes[:, 0]) > 0.05
+    depth = -mesh.nodes[:, 2] / SIZE[2]
+    leaning = mesh.nodes * (1 - 0.1 * np.outer(depth * moving, [1, 1, 0]))
+    leaning = mesh.with_nodes(leaning)
+    limits = SurfaceLimits({"draft_deg": 0.0}, mesh, moving)
+    assert limits.measures(leaning)["draft"] > 0.5
+    ((_, value, _),) = limits.evaluate(leaning)
+    assert value > 0
+
+
 def test_a_wrong_gradient_is_caught(bent):
     assert all(
         abs(exact - numeric) > 1e-3 * abs(numeric)

@@ -238,13 +238,16 @@ class Design:
             return None
         return (max(costs) - min(costs)) / abs(min(costs))
 
-    def check_finer(self) -> dict | None:
+    def check_finer(
+        self, say: Callable[[str], object] | None = None
+    ) -> dict | None:
         """Simulate the design and the initial shape on a finer mesh.
 
         See `finer_mesh`. `change` (of the design) and `brick_change` (of the
         initial shape) are the relative change of c from the last stage's mesh;
         NaN if the shape turns finer elements over. Returns None if a finer
-        mesh would have too many elements.
+        mesh would have too many elements. `say` is called with one line of
+        progress now and then.
         """
         last = self.setup.settings.optimize.stages[-1]
         base = finer_mesh(self.setup.mesh, last)
@@ -253,13 +256,18 @@ class Design:
         nodes = self.shape.deform(base.nodes, self.coefficients)
         first, shaped = map(self.setup.sole, (base, base.with_nodes(nodes)))
         out = {"tets": len(base.tets)}
+
+        def told(done, count):
+            if say is not None:
+                say(f"finer mesh, {done} of {count} samples")
+
         for name, key, sole, before in (
             ("brick", "brick_change", first, self.first),
             ("design", "change", shaped, self.step),
         ):
             out[name], out[key] = None, np.nan
             if sole.mesh.volumes.min() > 0:
-                step = Step.of(self.setup, sole, first.penalty)
+                step = Step.of(self.setup, sole, first.penalty, told)
                 out[name] = {
                     "c_tr": step.c_tr, "c_rot": step.c_rot, "c": step.c,
                     "failed_steps": step.failed_steps,
@@ -385,7 +393,7 @@ class Design:
         """
         folder, began = path_of(folder, "folder"), time.perf_counter()
         folder.mkdir(parents=True, exist_ok=True)
-        row, finer = self.summary(), self.check_finer()
+        row, finer = self.summary(), self.check_finer(say)
         verdict = self.verdict(accepted, finer)
         row |= verdict.summary() | {"finer": finer}
         row["seconds"] = round(self.seconds + time.perf_counter() - began, 2)
@@ -409,6 +417,8 @@ class Design:
             write_vtk(folder / mesh, step.sole.mesh)
             step.write_tables(folder / table, folder / history)
         write_csv(folder / "history.csv", self.history)
+        if say is not None:
+            say("pictures")
         self._draw(folder, verdict.mark)
         write_case(folder, self.setup.settings, self.setup.start)
         began = time.perf_counter()

@@ -167,6 +167,7 @@ _SURFACE_SHARPNESS = 500.0  # likewise over nodes or faces of the surface
 _DOWNWARDS = 0.5  # normals with more than this downwards are the bottom's
 _TILT_SCALE = 0.06  # 1 − cos 20°
 _DRAFT_SCALE = 0.1  # rad
+_UPRIGHT = 1e-3  # rad by which an edge may exceed a draft and count as at it
 # Violation of a scaled limit that counts as none, and the share of a limit that
 # final checks allow: it was met by the smoothed law.
 FEASIBLE, ROUNDING = 5e-3, 0.01
@@ -333,11 +334,23 @@ class SurfaceLimits:
 
     @cached_property
     def _sides(self) -> np.ndarray:
-        """Bare faces (f, 3) that move, without upward ones at the rim."""
-        faces = self.mesh.contact_faces
-        up = _normals(self.mesh, faces)[1] > _DOWNWARDS
-        up &= np.isin(faces, self.mesh.fixed).any(axis=1)
-        return faces[~up & self.moving[faces].any(axis=1)]
+        """Bare faces (f, 3) that move, without upward ones at the rim.
+
+        A face has no more draft than any of its edges: one with an edge that
+        is held and has too little is left out, too.
+        """
+        faces, nodes = self.mesh.contact_faces, self.mesh.nodes
+        out = _normals(self.mesh, faces)[1] > _DOWNWARDS
+        out &= np.isin(faces, self.mesh.fixed).any(axis=1)
+        moving = self.moving[faces]
+        steep = np.sin(np.deg2rad(self.limits.get("draft_deg", -90.0)))
+        for k in range(3):
+            edge = nodes[faces[:, k - 1]] - nodes[faces[:, k - 2]]
+            level = np.hypot(edge[:, 0], edge[:, 1])
+            held = ~moving[:, k - 1] & ~moving[:, k - 2]
+            length = np.linalg.norm(edge, axis=1)
+            out |= held & (level <= (steep + _UPRIGHT) * length)
+        return faces[~out & moving.any(axis=1)]
 
     def evaluate(self, mesh: TetMesh) -> list[tuple[str, float, np.ndarray]]:
         """The limits: name, scaled value (>= 0 where met), ∂/∂nodes (n, 3)."""

@@ -492,7 +492,7 @@ def _run_stage(setup: Setup, number, at: Checkpoint, out, say, problem=None):
         cost, violation, error = best.trace[-1][1:]
         say(
             f"stage {number + 1}/{len(block.stages)}, iteration "
-            f"{at.iteration + iteration}: c/|c0| {cost:+.4f}, violation "
+            f"{at.iteration + iteration}: cost {cost:+.4f}, violation "
             f"{violation:.1e}, error {error:.1e}, "
             f"{problem.evaluations} simulations"
         )
