@@ -514,8 +514,9 @@ def write_bands(
 ) -> None:
     """Write lower and upper ends of 95 % bands as a table that OpenSim reads.
 
-    They are around the prediction; CUFF_mats is around what a cuff's mats would
-    show of its normal force: `Bands.coverage` and figures use that one.
+    They are around the prediction; JOINT_reading and JOINT_speed_reading are
+    around what markers or encoders would show, CUFF_mats around what a cuff's
+    mats would show of its normal force: `Bands.coverage` and figures use these.
     """
     names = trial.coordinates
     unit = np.where(names.is_angle, np.rad2deg(1.0), 1.0)
@@ -529,6 +530,15 @@ def write_bands(
     for k, name in enumerate(names.names):
         add(name, unit[k] * trial.q[:, k], unit[k] * found.q[:, k])
         add(f"{name}_speed", unit[k] * trial.v[:, k], unit[k] * found.v[:, k])
+    q, v = trial.q + found.off_q, trial.v + found.off_v
+    for joint in names.joints:
+        k = names.index(joint)
+        # Infinite where nothing measured the joint.
+        if np.isfinite(found.seen_q[:, k]).all():
+            at = np.rad2deg([q[:, k], found.seen_q[:, k]])
+            add(f"{joint}_reading", *at)
+            at = np.rad2deg([v[:, k], found.seen_v[:, k]])
+            add(f"{joint}_speed_reading", *at)
     for cuff, width in found.cuffs.items():
         force = trial.cuffs[cuff].components
         for i, component in enumerate(COMPONENTS):

@@ -598,6 +598,32 @@ def test_bands_on_disk_are_the_middle_and_the_width(tmp_path):
     assert f"{CUFFS[2]}_mats_lower" not in columns
 
 
+def test_coverage_follows_from_the_files(tmp_path):
+    """Bands on disk are those of `Bands.coverage`, also of joints."""
+    trial, blind = prediction(seen()), NAMES.index("exo_knee")
+    band = wide(trial, q=0.03, v=0.2)
+    some = np.linspace(0.0, 1.0, len(trial.times))[:, None]
+    band.seen_q[:, blind] = band.seen_v[:, blind] = np.inf
+    band = replace(band, off_q=0.111 * some, off_v=-0.777 * some)
+    write_bands(tmp_path, trial, band)
+    columns, _ = read(tmp_path / "rise_bands.sto")
+    measured = moved(trial, q=0.011, v=-0.013)
+    told = band.coverage(trial, measured)
+    for suffix, signal, shown in (
+        ("reading", "angles_deg", measured.q),
+        ("speed_reading", "velocities_deg_s", measured.v),
+    ):
+        assert len(told[signal]) == len(JOINTS) - 1
+        for joint, share in told[signal].items():
+            at = DEGREES * shown[:, NAMES.index(joint)]
+            low, high = (
+                columns[f"{joint}_{suffix}_{end}"] for end in ("lower", "upper")
+            )
+            assert 0.0 < share < 1.0
+            assert share == near(np.mean((low <= at) & (at <= high)))
+        assert f"exo_knee_{suffix}_lower" not in columns
+
+
 @pytest.mark.slow
 def test_a_summary_holds_parameters_with_their_bounds(coarse):
     problem = coarse.problem
