@@ -50,8 +50,11 @@ def with_text(assembly: Assembly, root: Path) -> Assembly:
 
 def _is_xacro(path) -> InputError:
     name = Path(path).name
-    plain = name.removesuffix(".xacro").removesuffix(".urdf")
-    out = f"{plain}{'_plain' if name == f'{plain}.urdf' else ''}.urdf"
+    out = Path(name.removesuffix(".xacro"))
+    if out.suffix not in (".sdf", ".urdf"):
+        out = Path(f"{out}.urdf")
+    if out.name == name:
+        out = out.with_stem(f"{out.stem}_plain")
     return InputError(
         f"{path}: is a xacro file; expand it first ('xacro {name} > {out}') "
         "and give what comes out"

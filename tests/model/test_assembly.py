@@ -822,6 +822,7 @@ def test_files_that_are_no_device_are_refused(tmp_path):
     for name, words in (
         ("d.xacro", r"expand it first \('xacro d\.xacro > d\.urdf'\)"),
         ("d.urdf.xacro", r"\('xacro d\.urdf\.xacro > d\.urdf'\)"),
+        ("d.sdf.xacro", r"\('xacro d\.sdf\.xacro > d\.sdf'\)"),
         ("d.obj", "is not a device"),
     ):
         device = DeviceFile({"shoe": "foot"}, Path(name))
