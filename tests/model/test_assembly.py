@@ -1180,6 +1180,9 @@ def test_a_file_s_zero_may_be_bent(kind, forward, caplog):
     held = re.sub('(name="h" type=)"revolute"', r'\1"fixed"', text)
     with pytest.raises(InputError, match="'h' is fixed, and turns by no angle"):
         brought_in(worn, held)
+    for bad, told in ((np.nan, "h is nan, but must be a"), ("x", "but is 'x'")):
+        with pytest.raises(InputError, match=f"upright_deg.*{told}"):
+            replace(worn.device, upright_deg={"h": bad})
     with pytest.raises(InputError, match="joint 'h' is fixed, at zero; leave"):
         replace(worn.device, fixed=("h",))
 
