@@ -417,14 +417,9 @@ def run_batch(
         done = _done(tasks, out)
         todo = [task for task in tasks if task.name not in done]
         if todo:  # before hours of work
-            swept = {k: {} for changes in batch.variants() for k in changes}
-            for task in tasks:
-                for key, value in task.changes.items():
-                    swept[key].setdefault(repr(value), []).append(task)
-            for key, values in swept.items():
+            for key in dict.fromkeys(k for v in batch.variants() for k in v):
                 check_key(file_class(is_sole(key)), key)
-                for having in values.values():
-                    _check_value(key, having)
+            _check_values(tasks)
             _check_options(batch, function_of(parse), path.parent)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from error
@@ -474,22 +469,28 @@ def _done(tasks: list[Task], out: Path) -> dict[str, Outcome]:
     }
 
 
-def _check_value(key: str, tasks: Sequence[Task]) -> None:
+def _check_values(tasks: Sequence[Task]) -> None:
     """Refuse a swept key's value that none of the tasks' files can have."""
-    wrong: list[InputError] = []
+    sound: set[tuple[str, str]] = set()
+    wrong: dict[tuple[str, str], InputError] = {}
     # Steps on one file differ in nothing that is read here.
     for task in {(t.source, t.variant): t for t in tasks}.values():
-        if task.source is None:  # a laboratory writes it first
-            return
-        cls, name = file_class(is_sole(key)), f"{task.source}, {task.variant}"
+        values = {(key, repr(value)) for key, value in task.changes.items()}
+        if values <= sound:
+            continue
         try:
-            text = changed_text(task.source, cls, task.changes, task.root)
-            schema.load_text(text, cls, name)
+            if task.source is not None:  # else a laboratory writes it first
+                cls = file_class(any(map(is_sole, task.changes)))
+                name = f"{task.source}, {task.variant}"
+                text = changed_text(task.source, cls, task.changes, task.root)
+                schema.load_text(text, cls, name)
         except InputError as error:
-            wrong.append(error)
+            wrong |= dict.fromkeys(values - wrong.keys(), error)
         else:
-            return
-    raise wrong[0]
+            sound |= values
+    for value, error in wrong.items():
+        if value not in sound:
+            raise error
 
 
 def _check_options(batch: BatchFile, parse: Callable, near: Path) -> None:

@@ -354,6 +354,7 @@ def _model(path: str, model: ET.Element) -> OsimModel:
     # (its owner, a frame) -> the body that it is on, its pose there
     frames: dict[tuple[str, str], tuple[str, Pose]] = {}
     for owner in (
+        *model.iterfind("Ground"),
         *model.iterfind("BodySet/objects/Body"),
         *model.iterfind("JointSet/objects/*"),
     ):

@@ -569,6 +569,8 @@ RANGES_DEG = {"ankle": (-50.0, 60.0), "knee": (-20.0, 165.0)}
 RANGES_DEG["hip"] = (-45.0, 150.0)
 _LEAP_REACH_S = 0.25  # how far the filter carries a fault into the used part
 _LIFTED, _STANDS = 0.05, 0.3  # of body weight: at most, and at least
+# Least mean square speed along a direction, over that across it.
+_ALONG = 4.0
 # kgf and daN differ by 2 %, too little to tell apart.
 _UNITS = {"kN": 1e-3, "lbf": 1.0 / 4.448, "kgf or daN": 0.1}
 
@@ -635,7 +637,7 @@ def standing_checks(
 def body_checks(e: Evidence) -> Iterator[Check]:
     """Checks of the body in one trial."""
     if e.has_both_feet:
-        yield _facing(e)
+        yield from _facing(e)
     yield from _ranges(e)
     yield _markers(e)
     yield _leap(e)
@@ -670,15 +672,20 @@ def _belt(e: Evidence) -> Check:
     )
 
 
-def _facing(e: Evidence) -> Check:
+def _facing(e: Evidence) -> Iterator[Check]:
     """Whether markers move forward and back rather than obliquely."""
     steps = np.diff(e.recording.motion.ground_plan[e.inside], axis=0)
     x, y = steps[np.isfinite(steps).all(axis=2)].T
-    turned = float(np.rad2deg(np.arctan2(2.0 * x @ y, x @ x - y @ y) / 2.0))
+    squares = (x + 1j * y) ** 2
+    spread = np.abs(squares).sum()
+    along = 0.5 * (spread + np.abs(squares.sum()))
+    if along < _ALONG * (spread - along):
+        return  # who stands or bobs up and down moves in no direction
+    turned = float(np.rad2deg(np.angle(squares.sum()) / 2.0))
     facing = turned
     if _knees_bend_backwards(e):
         facing -= np.copysign(180.0, turned)
-    return e.check(
+    yield e.check(
         "facing",
         abs(turned),
         f"the markers move in a plane that is turned {abs(turned):.0f} deg to "

@@ -30,7 +30,7 @@ class Axes:
 
     forward: Axis = "x"
     up: Axis = "y"
-    facing_deg: float = quantity("deg", 0.0, minimum=-180.0, maximum=180.0)
+    facing_deg: float = quantity("deg", 0.0, minimum=-360.0, maximum=360.0)
 
     def __post_init__(self):
         if self.forward[-1] == self.up[-1]:

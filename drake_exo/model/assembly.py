@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, TypeVar
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, check_bounds
 from drake_exo.files.schema import quantity
 from drake_exo.model.segments import CUFFED, IN_BODY, place
 
@@ -104,6 +104,9 @@ class Weld:
     pitch_deg: float = quantity("deg", 0.0)
 
 
+_ONCE_ROUND = {"unit": "deg", "minimum": -360.0, "maximum": 360.0}
+
+
 @dataclass(frozen=True)
 class DeviceFile:
     """A device, and where it is fixed to the person.
@@ -130,8 +133,7 @@ class DeviceFile:
     forward: Literal["x", "-x"] = "x"
     fixed: tuple[str, ...] = ()
     upright_deg: dict[str, float] = field(
-        default_factory=dict,
-        metadata={"unit": "deg", "minimum": -360.0, "maximum": 360.0},
+        default_factory=dict, metadata=_ONCE_ROUND
     )
     text: str | None = None
     notes: tuple[str, ...] = ()
@@ -150,6 +152,8 @@ class DeviceFile:
                 "the shipped exoskeleton has joints and axes of its own; name "
                 "a file, or leave them out"
             )
+        for name, value in self.upright_deg.items():
+            check_bounds(f"upright_deg.{name}", value, _ONCE_ROUND)
         if both := set(self.fixed) & set(self.upright_deg):
             raise InputError(
                 f"joint {min(both)!r} is fixed, at zero; leave it out of fixed "

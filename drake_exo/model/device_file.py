@@ -50,8 +50,11 @@ def with_text(assembly: Assembly, root: Path) -> Assembly:
 
 def _is_xacro(path) -> InputError:
     name = Path(path).name
-    plain = name.removesuffix(".xacro").removesuffix(".urdf")
-    out = f"{plain}{'_plain' if name == f'{plain}.urdf' else ''}.urdf"
+    out = Path(name.removesuffix(".xacro"))
+    if out.suffix not in (".sdf", ".urdf"):
+        out = Path(f"{out}.urdf")
+    if out.name == name:
+        out = out.with_stem(f"{out.stem}_plain")
     return InputError(
         f"{path}: is a xacro file; expand it first ('xacro {name} > {out}') "
         "and give what comes out"
@@ -113,6 +116,12 @@ def brought_in(assembly: Assembly, text: str) -> Assembly:
                 f"{device.name}: has no joint {name!r}"
                 f"{' to fix' if name in device.fixed else ''}; it has "
                 f"{', '.join(str(n) for n in joints) or 'none'}"
+            )
+    for name in device.upright_deg:
+        if (kind := joints[name].get("type")) not in ("revolute", "continuous"):
+            raise InputError(
+                f"{device.name}: joint {name!r} is {kind}, and turns by no "
+                "angle; leave it out of upright_deg"
             )
     for name in device.fixed:
         joints[name].set("type", "fixed")
@@ -267,8 +276,8 @@ def _whole_turns(owner: ET.Element) -> None:
     for pose in (*owner.iterfind("joint/origin"), *owner.iterfind("./*/pose")):
         text = pose.text if pose.tag == "pose" else pose.get("rpy")
         values = (text or "").split()
-        told = {key: value for key, value in pose.attrib.items() if value}
-        if "rotation_format" in told or told.get("degrees") in ("true", "1"):
+        is_euler = pose.get("rotation_format", "euler_rpy") == "euler_rpy"
+        if not is_euler or pose.get("degrees") in ("true", "1"):
             continue
         meant = [*values[:-3], *map(_quarters, values[-3:])]
         if meant == values:

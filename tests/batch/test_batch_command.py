@@ -7,13 +7,18 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from small_step import stage, write_case, write_step
 
+from drake_exo.batch import run
+from drake_exo.batch.file import BatchFile, changed_text, tasks_of
 from drake_exo.batch.run import TIMING
 from drake_exo.cli import main
+from drake_exo.errors import InputError
+from drake_exo.files import schema
 
 pytestmark = pytest.mark.slow
 
@@ -248,6 +253,36 @@ def test_what_no_task_could_use_is_told_once(tmp_path, capsys):
     assert "the law 'simbody' has no 'stickiness'; it has static_" in said
     said = refused("steps: [check]\nsweep: {filter.order: [2, x]}")
     assert "filter.order must be a whole number, but is 'x'" in said
+
+
+def test_a_file_is_read_once_for_all_of_its_values(tmp_path, monkeypatch):
+    """Each of many keys has a value of its own in every combination."""
+    study = Path(__file__).parents[1] / "studies" / "opencap_sts1.yaml"
+    shutil.copy(study, tmp_path / "a.yaml")
+    cutoffs, orders = [5.0, 6.0, 7.0], [2, 4, -4]
+    sweep = [
+        {"filter.cutoff_hz": hz, "filter.order": n}
+        for hz, n in zip(cutoffs, orders, strict=True)
+    ]
+    path = tmp_path / "batch.yaml"
+    text = {"steps": ["check"], "studies": ["a.yaml"], "sweep": sweep}
+    write(path, json.dumps(text))
+    read = []
+
+    def counted(path, cls, changes, root):
+        read.append(changes)
+        return changed_text(path, cls, changes, root)
+
+    monkeypatch.setattr(run, "changed_text", counted)
+    tasks = tasks_of(schema.load(path, BatchFile), tmp_path)
+    with pytest.raises(InputError, match=r"filter\.order"):
+        run._check_values(tasks)
+    assert read == sweep
+    # Of a good value in a bad combination, another one may be found good.
+    sound = replace(tasks[0], variant="x", changes={"filter.cutoff_hz": 7.0})
+    with pytest.raises(InputError, match=r"filter\.order"):
+        run._check_values([*tasks, sound])
+    run._check_values(tasks[:2])
 
 
 _FULL = """

@@ -289,6 +289,24 @@ def test_markers_and_joints_may_be_on_frames_of_a_body(tmp_path):
     np.testing.assert_allclose(place, [0.1 - 0.36 + 0.3, 0.2, 0.17 + 0.03])
 
 
+def test_the_ground_may_have_frames(tmp_path):
+    """A marker there is none of the person's; the pelvis moves from there."""
+    ground = """<Ground name="ground"><components>
+    <PhysicalOffsetFrame name="lab"><socket_parent>..</socket_parent>
+    <translation>0.1 0.2 0</translation></PhysicalOffsetFrame></components>
+    </Ground>"""
+    text = small_osim().replace("<BodySet", f"{ground}<BodySet", 1)
+    text = text.replace(
+        "<socket_parent_frame>/ground<", "<socket_parent_frame>/ground/lab<"
+    )
+    marker = '<Marker name="elbow_r"><socket_parent_frame>'
+    text = text.replace(f"{marker}/bodyset/humerus_r<", f"{marker}/ground/lab<")
+    model = read(tmp_path, text)
+    assert "elbow_r" not in model.markers
+    assert model.joint_of("pelvis").parent == "ground"
+    np.testing.assert_allclose(model.poses()["pelvis"][1][0], [0.1, 0.2, 0.0])
+
+
 def test_a_line_of_several_pieces_goes_on_beyond_its_ends(tmp_path):
     text = small_osim("CustomJoint").replace(
         "SimmSpline>", "PiecewiseLinearFunction>"

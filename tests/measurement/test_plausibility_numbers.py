@@ -1112,3 +1112,21 @@ def test_trials_with_time_in_common():
     assert "overlaps with a," in found[0].sentence
     parts[2].files.markers = "another.trc"
     assert list(plausibility.overlap_checks(parts)) == []
+
+
+@pytest.mark.parametrize("turned", [0.0, 30.0, -80.0])
+def test_who_moves_in_no_direction_faces_in_none(turned):
+    """Sway in standing is nearly as fast across as along."""
+    turn = np.exp(1j * np.deg2rad(turned))
+    swing = np.sin(40.0 * TIME)
+    rates = {}
+    for across in (0.1, 0.6):
+        place = turn * 0.01 * (swing + 1j * across * np.roll(swing, 4))
+        plan = np.stack([place.real, place.imag], axis=1)[:, None]
+        plan = np.concatenate([plan, plan + 0.1, plan * np.nan], axis=1)
+        e = made(ground_plan=plan, legs={"left": np.zeros((len(TIME), 3))})
+        rates[across] = list(plausibility._facing(e))
+    assert rates[0.6] == []
+    (check,) = rates[0.1]
+    assert check.value == pytest.approx(abs(turned), abs=6.0)
+    assert check.holds == (turned == 0.0)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from drake_exo.files import schema
 from drake_exo.files.tables import PlateRecording
 from drake_exo.measurement.sagittal import (
     Axes,
@@ -32,9 +33,10 @@ def test_left_is_up_cross_forward(forward, up, left):
     np.testing.assert_allclose(np.linalg.det(frame.R_PL), 1.0)
 
 
-@pytest.mark.parametrize("facing", [-180.0, -91.0, 0.0, 37.0, 180.0])
+@pytest.mark.parametrize("facing", [-180.0, -91.0, 0.0, 37.0, 180.0, 350.0])
 def test_facing_is_to_the_left_seen_from_above(facing):
-    frame = Axes("-z", "y", facing)
+    text = f"{{forward: -z, up: y, facing_deg: {facing}}}"
+    frame = schema.load_text(text, Axes)
     ahead = np.deg2rad(facing)
     direction = Axes("-z", "y").R_PL.T @ [np.cos(ahead), np.sin(ahead), 0.0]
     np.testing.assert_allclose(

@@ -822,6 +822,7 @@ def test_files_that_are_no_device_are_refused(tmp_path):
     for name, words in (
         ("d.xacro", r"expand it first \('xacro d\.xacro > d\.urdf'\)"),
         ("d.urdf.xacro", r"\('xacro d\.urdf\.xacro > d\.urdf'\)"),
+        ("d.sdf.xacro", r"\('xacro d\.sdf\.xacro > d\.sdf'\)"),
         ("d.obj", "is not a device"),
     ):
         device = DeviceFile({"shoe": "foot"}, Path(name))
@@ -1176,6 +1177,12 @@ def test_a_file_s_zero_may_be_bent(kind, forward, caplog):
     with pytest.raises(InputError, match="has no joint 'knee'; it has h, k"):
         device = replace(worn.device, upright_deg={"knee": 10.0})
         brought_in(replace(worn, device=device), text)
+    held = re.sub('(name="h" type=)"revolute"', r'\1"fixed"', text)
+    with pytest.raises(InputError, match="'h' is fixed, and turns by no angle"):
+        brought_in(worn, held)
+    for bad, told in ((np.nan, "h is nan, but must be a"), ("x", "but is 'x'")):
+        with pytest.raises(InputError, match=f"upright_deg.*{told}"):
+            replace(worn.device, upright_deg={"h": bad})
     with pytest.raises(InputError, match="joint 'h' is fixed, at zero; leave"):
         replace(worn.device, fixed=("h",))
 
@@ -1237,7 +1244,10 @@ def test_other_angles_are_as_they_are_told():
     )
     device = DeviceFile({"shoe": "foot"}, Path("d.sdf"))
     worn = Assembly(device=device, cuffs={"calf": CuffLinks("shank", "bar")})
-    assert Model(brought_in(worn, sdf), HUMAN).coordinates.device == ("motor",)
+    pose = "<pose>0.1"
+    for told in (pose, pose.replace(">", ' rotation_format="euler_rpy">')):
+        model = Model(brought_in(worn, sdf.replace(pose, told)), HUMAN)
+        assert model.coordinates.device == ("motor",)
 
 
 def test_an_sdf_that_looks_backward_may_tell_its_turns_in_any_way():
