@@ -610,8 +610,9 @@ class TrialFiles:
         use: what the trial is for: to calibrate contact (Phases A and B), or
             to be predicted and compared with the measurement (Phase C).
         encoders: file with the angles of the exoskeleton's joints.
-        exo_moments: file with the recorded moments of these joints; if left
-            out, the moments follow from `device`.
+        exo_moments: file with the recorded moments of these joints, drive,
+            friction and springs together; if left out, the moments follow
+            from `device`.
         pressure: recordings of the mats.
         encoder_delay_s: lag of the encoders' clock in this trial, instead of
             the laboratory's.
