@@ -169,6 +169,19 @@ class Designed:
     tried: tuple[Tried, ...] = ()
     stopped: bool = False
 
+    def __repr__(self) -> str:
+        head = f"Designed({self.solution.status!r})"
+        if not self.success:
+            return head
+        norm = f"{self.today.norm_n:.1f} N today, {self.found.norm_n:.1f} N"
+        free = [v for v in self.found.problem.design if v.free]
+        width = max((len(v.name) for v in free), default=0)
+        rows = [
+            f"  {v.name:<{width}} {self.found.values[v.name]:.4g} {v.unit}"
+            for v in free
+        ]
+        return "\n".join([f"{head}, norm of forces {norm}", *rows])
+
     @property
     def solution(self) -> Solution:
         """State of the solve."""

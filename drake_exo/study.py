@@ -686,6 +686,8 @@ class Calibration(_Solved):
         """
         found = self.clocks if self.success else []
         own = phase_checks(self.result, self._audits, found)
+        if self.success and self.phase == "interaction":
+            own += audit.cuff_checks(self.trials, self._measured)
         return Verdict((*checks, *own), tuple(accepted))
 
     def plot(self) -> Figure:

@@ -91,6 +91,22 @@ def told(made, felt, monkeypatch):
     return made
 
 
+def test_a_design_shows_what_it_found(made):
+    """Not its settings; of a failed solve the status alone."""
+    head, *rows = repr(made).splitlines()
+    norms = f"{made.today.norm_n:.1f} N today, {made.found.norm_n:.1f} N"
+    status = made.solution.status
+    assert head == f"Designed({status!r}), norm of forces {norms}"
+    free = {r["name"]: r for r in made.variables()}
+    assert len(rows) == len(free)
+    for row in rows:
+        name, value, unit = row.split(maxsplit=2)
+        assert float(value) == pytest.approx(free[name]["value"], rel=1e-3)
+        assert unit == free[name]["unit"]
+    failed = SimpleNamespace(solution=SimpleNamespace(status="a", success=0))
+    assert repr(replace(made, found=failed)) == "Designed('a')"
+
+
 def trials(made, when):
     return {n: m[0].trial for n, m in getattr(made, when).items()}
 

@@ -272,6 +272,13 @@ def test_data_root_must_be_a_folder(tmp_path):
         ),
         (
             "model: human",
+            "  segments: {thigh_cuff_m: [0.0, 0.2]}\n"
+            "model: {device: {file: a.urdf, weld: {a: foot}}, cuffs: "
+            "{up: {human: thigh, device: b, at_m: [0.0, 0.3]}}}",
+            "subject.segments.thigh_cuff_m is used for no cuff",
+        ),
+        (
+            "model: human",
             "model: human\ninteraction: {thigh: {normal_n_m: "
             "{nominal: 5, lower: 5, upper: 5}}}",
             "lower bound 5 is not below upper bound 5; correct them",

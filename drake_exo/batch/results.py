@@ -647,7 +647,7 @@ def _bland_altman(rows: list[Row]) -> Figure | None:
                 fontsize=7,
             )
         unit = pairs[0][0].unit
-        ax.set_title(signal, fontsize=9)
+        ax.set_title(f"peak {signal}", fontsize=9)
         ax.set_xlabel(f"mean of both [{unit}]")
         ax.set_ylabel(f"predicted − measured [{unit}]")
     if 1 < len(colours) <= len(COLOURS):  # else one colour, or some twice

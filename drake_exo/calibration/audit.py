@@ -46,6 +46,10 @@ _SIMULATED = (
     "a simulation does not reproduce the motion; the contact is too stiff for "
     "the grid (raise solver.nodes_per_second), or leaves the ground"
 )
+# Share of the force in a cuff's mats that a calibration may miss, and the RMS
+# force below which mats show little but their steps.
+_MISSED = 0.5
+_FELT_N = 10.0
 
 
 @dataclass(frozen=True)
@@ -466,6 +470,45 @@ def spread(trials: Sequence[Trial], tree: PlanarTree) -> dict:
 def _of_joints(names, values) -> dict[str, float]:
     """Joint -> its value in degrees, of values (nq,) [rad]."""
     return _by_name(names.joints, np.rad2deg(values[names.joint_columns]))
+
+
+def cuff_checks(
+    found: Sequence[Trial], measured: Sequence[Trial]
+) -> list[Check]:
+    """Notes: whether calibrated cuffs bear what their mats measured.
+
+    No cuff can if the device's moments, or the mats, count the other way; the
+    best one then bears next to nothing.
+
+    Args:
+        found: solved trials.
+        measured: the same trials as measured.
+    """
+    made = []
+    for cuff in found[0].cuffs:
+        off, shown = [], []
+        for trial, own in zip(found, measured, strict=True):
+            if cuff in own.cuffs:
+                normal = own.sample(trial.times).cuffs[cuff].normal
+                shown.append(rms(normal, trial.times))
+                more = trial.cuffs[cuff].normal - normal
+                off.append(rms(more, trial.times))
+        if not shown:
+            continue
+        off, shown = (
+            float(np.sqrt(np.mean(np.square(of)))) for of in (off, shown)
+        )
+        value = off / max(shown, _FELT_N)
+        text = (
+            f"the calibrated cuff is off by {off:.1f} N where its mats show "
+            f"{shown:.1f} N (RMS): the device's moments or these mats may "
+            "count the other way, or the mats may lie under another cuff"
+        )
+        holds = value <= _MISSED
+        made.append(
+            Check("cuffs", holds, value, _MISSED, "", cuff, text, "note")
+        )
+    return made
 
 
 def _by_name(names, values) -> dict[str, float]:

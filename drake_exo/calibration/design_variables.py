@@ -114,11 +114,14 @@ def design_variables(
 
     Raises:
         InputError: it is symmetric, but the cuffs of a pair may not change
-            alike.
+            alike, or a cuff or driven joint of one leg has no namesake.
     """
     found = []
     model = wearers[0].model
     for cuff in model.cuffs:
+        _check_has_partner(
+            cuff, model.tree.cuffs[cuff][0], model.cuffs, settings
+        )
         freedom = settings.freedom(cuff)
         other = partner(cuff, model.cuffs, settings)
         if settings.freedom(other) != freedom:
@@ -148,7 +151,10 @@ def design_variables(
         "stiffness_nm_rad": (0.0, settings.gains.stiffness_nm_rad),
         "damping_nm_s_rad": (0.0, settings.gains.damping_nm_s_rad),
     }
+    names = model.coordinates
     for joint in _driven(wearers, settings):
+        beside = names.follows(joint) or joint
+        _check_has_partner(joint, beside, names.device, settings)
         if settings.assistance_over == "gains":
             found += _variables(joint, Gains, gains, GAINS)
             continue
@@ -181,6 +187,25 @@ def partner(part: str, parts: Sequence[str], settings: DesignSettings) -> str:
     """
     other = other_side(part)
     return other if settings.symmetric and other in parts else part
+
+
+def _check_has_partner(part: str, limb: str, parts, settings) -> None:
+    """Refuse a part of one leg that has none on the other to be alike.
+
+    Args:
+        part: a cuff's or joint's name.
+        limb: the person's segment or joint that it goes with.
+        parts: names of all.
+        settings: the design's.
+    """
+    alone = partner(part, parts, settings) == part
+    if settings.symmetric and alone and other_side(limb) != limb:
+        raise InputError(
+            f"design.symmetric: {part} goes with {limb}, but there is no name "
+            "that differs from it in left and right alone; give both sides "
+            f"such names, as {limb} and {other_side(limb)}, or leave "
+            "symmetric out"
+        )
 
 
 def _variables(group: str, cls: type, bounds, sizes) -> list[Variable]:

@@ -40,6 +40,8 @@ LOADED_N = 50.0
 # Peak sideways speed: a CoM that sways by ±25 mm in strides of 1.1 s.
 _SWAY_M_S = 0.15
 _STEP_M = 0.1  # between the ankles, fore and aft: a foot is in front
+# RMS fore-aft force, in body weights, below which its sign cannot be told.
+_SHEAR_OF_WEIGHT = 0.002
 # Added behind a foot's rearmost marker, and to its length [m].
 _HEEL_M = 0.03
 # Markers that span less of the foot's length include none at the heel.
@@ -900,7 +902,8 @@ def shear_checks(evidence: Sequence[Evidence]) -> Iterator[Check]:
         own = sum(_shear_missed(e) for e in group)
         fits = [sum(_shear_missed(e, some) for e in group) for some in turned]
         best = int(np.argmin(fits))
-        ratio = float(np.sqrt(own / max(fits[best], 1e-9)))
+        least = _SHEAR_OF_WEIGHT**2 * sum(len(e.measured) for e in group)
+        ratio = float(np.sqrt(own / max(fits[best], least)))
         which = " and ".join(map(repr, turned[best]))
         yield group[0].check(
             "shear_sign",

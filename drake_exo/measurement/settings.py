@@ -18,9 +18,15 @@ from drake_exo.files.tables import PlateRecording
 from drake_exo.measurement.events import event_of
 from drake_exo.measurement.filters import low_pass
 from drake_exo.measurement.sagittal import Axes, spatial_wrench
-from drake_exo.model.assembly import ASSEMBLIES, SIDES, Assembly
+from drake_exo.model.assembly import (
+    ASSEMBLIES,
+    SIDES,
+    Assembly,
+    without_side,
+)
 from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.segments import (
+    CUFFED,
     HEIGHTS_M,
     LEG_JOINTS,
     MASSES_KG,
@@ -610,8 +616,9 @@ class TrialFiles:
         use: what the trial is for: to calibrate contact (Phases A and B), or
             to be predicted and compared with the measurement (Phase C).
         encoders: file with the angles of the exoskeleton's joints.
-        exo_moments: file with the recorded moments of these joints; if left
-            out, the moments follow from `device`.
+        exo_moments: file with the recorded moments of these joints, drive,
+            friction and springs together; if left out, the moments follow
+            from `device`.
         pressure: recordings of the mats.
         encoder_delay_s: lag of the encoders' clock in this trial, instead of
             the laboratory's.
@@ -773,6 +780,20 @@ class RecordingSettings:
                 f"device is {worn.name}; state them in that file, and leave "
                 "exoskeleton out"
             )
+        usual = {
+            without_side(links.human)
+            for links in self.assembly.cuffs.values()
+            if links.at_m is None
+        }
+        for segment in CUFFED:
+            key = f"{segment}_cuff_m"
+            given = getattr(self.subject.segments, key) is not None
+            if worn and worn.file and given and segment not in usual:
+                raise InputError(
+                    f"subject.segments.{key} is used for no cuff: of those in "
+                    f"model.cuffs none is on the {segment}, or each has its "
+                    "own at_m; leave it out"
+                )
         for key in ("heel_m", "toe_m"):
             if self.assembly.is_fitted and getattr(self.subject.segments, key):
                 raise InputError(

@@ -22,6 +22,7 @@ from types import SimpleNamespace
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 
 from drake_exo.calibration.uncertainty import Bands
 from drake_exo.contact.hunt_crossley import (
@@ -717,7 +718,7 @@ def device_figure(designed) -> Figure:
     larger = max(1.0, lines / 22)  # lines that a figure of 4.4 inches holds
     with matplotlib.rc_context(STYLE):
         figure = Figure((5.4 * larger, 4.4 * larger), layout="constrained")
-        axes = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.6))
+        axes = figure.subplots(1, 2, sharey=True)
         # Side by side, however narrow equal scales make them.
         for axis, side in zip(axes, "EW", strict=True):
             axis.set_anchor(side)
@@ -740,11 +741,19 @@ def device_figure(designed) -> Figure:
                 axis.plot(*at, "o" if cuff in new else "x", color=_AFTER, ms=6)
             axis.set_aspect("equal")
             axis.margins(x=0.15)
+            # Room for the numbers below somebody who stands.
+            left, right = axis.get_xlim()
+            more = max(0.6 - (right - left), 0.0) / 2.0
+            axis.set_xlim(left - more, right + more)
+            axis.xaxis.set_major_locator(MultipleLocator(0.5))
             axis.set_title(title)
             axis.set_xlabel("x [m]")
         _write_beside(
             axes[1], {told[c]: at for c, (_, at) in spots.items()}, larger
         )
+        # One scale and one height.
+        widths = [float(np.ptp(axis.get_xlim())) for axis in axes]
+        axes[0].get_gridspec().set_width_ratios(widths)
         axes[0].set_ylabel("z [m]")
         for marker, face, edge, label in (
             ("o", "none", _BEFORE, "cuff today"),

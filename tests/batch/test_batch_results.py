@@ -453,6 +453,7 @@ def test_a_panel_holds_differences_over_means():
     np.testing.assert_allclose(
         drawn, [bias, bias - 1.96 * sd, bias + 1.96 * sd]
     )
+    assert ax.get_title() == "peak force"
     assert ax.get_ylabel() == "predicted − measured [N]"
     said = [text.get_text().split("\n")[0].strip() for text in ax.texts]
     assert said == ["bias", "−1.96 SD", "+1.96 SD"]

@@ -108,6 +108,24 @@ def test_joints_of_a_device_may_count_the_other_way_on_the_other_side():
         mirrored(replace(names, coupling=knee))
 
 
+def test_joints_of_a_device_find_each_other_whatever_their_names():
+    """Of pairs that turn with left and right legs, one may count backwards."""
+    root = ("pelvis_x", "pelvis_z", "pelvis_pitch")
+    legs = ("hip_left", "knee_left", "M1", "hip_right", "knee_right", "M2")
+    turned = ((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -1.0, 0.0))
+    names = Coordinates((*root, *legs), ("M1", "M2"), turned)
+    found = mirrored(names) @ np.arange(1.0, 10.0)
+    np.testing.assert_array_equal(found, [1, 2, 3, 7, 8, -9, 4, 5, -6])
+    knee = ((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    with pytest.raises(InputError, match="that of M1 on the other leg is not"):
+        mirrored(replace(names, coupling=knee))
+    twice = Coordinates(
+        (*root, *legs, "M3"), ("M1", "M2", "M3"), (*turned, turned[1])
+    )
+    with pytest.raises(InputError, match="differ in left and right alone"):
+        mirrored(twice)
+
+
 def test_two_steps_are_no_step(model, step):
     """A stride was sought with legs exchanged over its time: none is found."""
     stride = replace(step, q=np.vstack([step.q[::2], step.q[-2::-2]]))

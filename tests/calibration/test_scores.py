@@ -246,3 +246,34 @@ def test_one_trial_has_no_spread():
     found = spread([seen()])
     assert np.isnan(list(found["angles_deg"].values())).all()
     assert np.isnan(found["cop_mm"])
+
+
+def cuffed(normals, **of) -> Trial:
+    """A trial whose cuffs bear these constant forces."""
+    cuffs = {c: CuffForce(np.full(201, n)) for c, n in normals.items()}
+    return replace(seen(), cuffs=cuffs, **of)
+
+
+def test_a_cuff_that_bears_nothing_of_what_mats_show_is_noted():
+    """Over the trials that have mats of it; little force tells little."""
+    found = [
+        cuffed({"thigh": 1.0, "shank": 40.0, "pelvis": 7.0}, name="a"),
+        cuffed({"thigh": 1.0, "shank": 50.0, "pelvis": 7.0}, name="b"),
+    ]
+    measured = [
+        cuffed({"thigh": -30.0, "pelvis": 3.0}, name="a"),
+        cuffed({"thigh": -40.0, "shank": 45.0}, name="b"),
+    ]
+    thigh, shank, pelvis = audit.cuff_checks(found, measured)
+    off, shown = np.sqrt((31.0**2 + 41.0**2) / 2.0), np.sqrt(1250.0)
+    assert thigh.value == pytest.approx(off / shown)
+    assert (thigh.holds, thigh.level, thigh.where) == (False, "note", "thigh")
+    assert thigh.sentence.startswith(
+        "the calibrated cuff is off by 36.3 N where its mats show 35.4 N"
+    )
+    assert shank.holds and shank.value == pytest.approx(5.0 / 45.0)
+    assert pelvis.holds and pelvis.value == pytest.approx(0.4)
+    assert [c.where for c in audit.cuff_checks(found[:1], measured[:1])] == [
+        "thigh",
+        "pelvis",
+    ]

@@ -94,6 +94,11 @@ def test_cuffs_are_calibrated(cuffs, made):
     assert told["pelvis.normal_stiffness"]["half_width_95"] > 0.0
 
 
+def test_calibrated_cuffs_are_compared_with_their_mats(cuffs):
+    (told,) = (c for c in cuffs.verdict().checks if c.name == "cuffs")
+    assert told.where == "pelvis" and told.holds and told.value < 0.05
+
+
 def test_a_calibration_is_written_and_read(cuffs, tmp_path):
     cuffs.write(tmp_path)
     assert dx.read_contact(tmp_path).values() == cuffs.contact.values()

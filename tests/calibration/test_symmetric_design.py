@@ -84,6 +84,27 @@ def test_twins_have_what_both_allow(wearer):
     assert knees == ["factor_at_-90_deg", "factor_at_0_deg"]
 
 
+def test_a_side_without_a_namesake_is_told(wearer):
+    """It would silently be designed by itself."""
+    model = wearer.model
+    assembly = model.assembly
+    cuffs = {
+        name.replace("thigh_right", "oben_rechts"): links
+        for name, links in assembly.cuffs.items()
+    }
+    renamed = Model(replace(assembly, cuffs=cuffs), model.human)
+    contact = nominal_contact(renamed)
+    other = Wearer("somebody", renamed, contact, wearer.trials)
+    with pytest.raises(InputError) as caught:
+        design_variables([other], SETTINGS)
+    assert str(caught.value) == (
+        "design.symmetric: thigh_left goes with thigh_left, but there is no "
+        "name that differs from it in left and right alone; give both sides "
+        "such names, as thigh_left and thigh_right, or leave symmetric out"
+    )
+    design_variables([other], replace(SETTINGS, symmetric=False))
+
+
 def test_one_variable_stands_for_both_sides(wearer):
     held = {"thigh_right.along_m": 0.02, "thigh_left.along_m": 0.02}
     problem = DesignProblem([wearer], SETTINGS, held=held)

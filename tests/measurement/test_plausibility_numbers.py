@@ -266,6 +266,17 @@ def test_signs_of_fore_aft_forces_are_told_by_all_trials_together():
     assert told(list(found), "shear_sign") == [(1.9 / 0.1, 1.1, False)]
 
 
+@pytest.mark.parametrize(("swing", "holds"), [(0.5, True), (5.0, False)])
+def test_the_sign_of_next_to_no_fore_aft_force_is_not_judged(swing, holds):
+    """A slow squat's; what a device does on its cuffs is as large."""
+    e = sheared("a", 1.0, 1.0)
+    e.measured[:, 0] = swing * np.cos(np.linspace(0.0, 12.0, N))
+    e.needed[:, 0] = 0.0
+    e.plates["left"][:, 0] = e.plates["right"][:, 0] = e.measured[:, 0] / 2.0
+    (found,) = plausibility.shear_checks([e])
+    assert found.holds == holds
+
+
 @pytest.mark.parametrize(
     ("share", "unit"),
     [(1.1e-3, "kN"), (0.8e-3, None), (0.21, "lbf"), (0.105, "kgf"),

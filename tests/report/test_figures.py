@@ -643,6 +643,35 @@ def test_a_designed_device_is_drawn_where_it_holds():
     assert right.get_title() == f"end of {trial.name}"
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("place", ["standing", "seated"])
+def test_both_panels_of_a_device_have_one_scale(place):
+    """Of somebody who stands throughout, numbers along x stay apart."""
+    trial = solution()
+    row = {"standing": -1, "seated": 0}[place]
+    trial = replace(trial, q=np.tile(trial.q[row], (len(trial.q), 1)))
+    wearer = SimpleNamespace(model=COUPLED, contact=CONTACT)
+    made = SimpleNamespace(
+        first=(wearer, [moved(trial, trial)]),
+        design=Design({"thigh": CuffDesign(along_m=0.03)}),
+        beyond=list,
+    )
+    figure = figures.device_figure(made)
+    FigureCanvasAgg(figure).draw()
+    left, right = figure.axes
+    assert left.bbox.height == pytest.approx(right.bbox.height)
+    for axis in figure.axes:
+        numbers = [
+            label.get_window_extent()
+            for label in axis.get_xticklabels()
+            if axis.get_xlim()[0] <= label.get_position()[0]
+            and label.get_position()[0] <= axis.get_xlim()[1]
+        ]
+        assert numbers
+        for one, other in combinations(numbers, 2):
+            assert not one.overlaps(other)
+
+
 @pytest.mark.parametrize(
     ("design", "words"),
     [
