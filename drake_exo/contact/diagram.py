@@ -217,6 +217,8 @@ def integrate(
     """
 
     def rates(time, state):
+        if not np.isfinite(state).all():  # Drake would end with an error
+            raise FloatingPointError
         context.SetTime(time)
         context.SetContinuousState(state)
         return diagram.EvalTimeDerivatives(context).CopyToVector()
@@ -233,7 +235,11 @@ def integrate(
     )
     times, parts = [solver.t], []
     while solver.status == "running":
-        solver.step()
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                solver.step()
+        except FloatingPointError:
+            break
         if solver.status == "failed":
             break
         times.append(solver.t)
