@@ -8,6 +8,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 from undrawn import undrawn
 
+from benchmarks.seeds import _known
 from drake_exo.calibration.audit import rmsd, spread
 from drake_exo.calibration.clocks import (
     Clock,
@@ -609,3 +610,12 @@ def test_cuffs_beyond_the_bounds_of_phase_b_time_a_trial(in_device):
         p = {p.name: p for p in problem.parameters}[name]
         assert p.nominal == own.values()[name]
         assert p.nominal in (p.lower, p.upper)
+
+
+def test_a_campaign_counts_clocks_that_are_sure_and_off():
+    told = [(0.02, 0.001), (0.0, 0.02), (0.001, 0.002), (0.1, None)]
+    rows = [{"error_s": error, "sd_s": sd} for error, sd in told]
+    found = _known(rows)
+    assert found["clocks"] == 3
+    assert found["unsure"] == pytest.approx(1 / 3)
+    assert found["beyond_10_ms_unmarked"] == 1
