@@ -156,15 +156,13 @@ class Designed:
     """
 
     settings: DesignSettings
-    today: DesignResult = field(repr=False)
-    found: DesignResult = field(repr=False)
-    before: dict[str, list[Moved]] = field(repr=False)
-    after: dict[str, list[Moved]] = field(repr=False)
+    today: DesignResult
+    found: DesignResult
+    before: dict[str, list[Moved]]
+    after: dict[str, list[Moved]]
     parts: dict[str, float] = field(default_factory=dict)
-    measured: dict[str, Sequence[Trial]] = field(
-        default_factory=dict, repr=False
-    )
-    seen: dict[str, Sequence[Trial]] = field(default_factory=dict, repr=False)
+    measured: dict[str, Sequence[Trial]] = field(default_factory=dict)
+    seen: dict[str, Sequence[Trial]] = field(default_factory=dict)
     inputs: tuple[Check, ...] = ()
     tried: tuple[Tried, ...] = ()
     stopped: bool = False

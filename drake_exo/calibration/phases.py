@@ -601,8 +601,9 @@ def _loads_at(speed_m_s: float, trial: Trial) -> Trial:
 def mirrored(names: Coordinates) -> np.ndarray:
     """Matrix (nq, nq) that exchanges left and right.
 
-    A device joint's sign may be opposite to that on the other side. If its name
-    tells no side, its counterpart is the one that turns with the other leg.
+    A device joint's sign may be opposite to that on the other side. If none has
+    its name with the other side, its counterpart is the one that turns with the
+    other leg.
 
     Raises:
         InputError: a coordinate has no counterpart, or a device joint's is
@@ -617,24 +618,22 @@ def mirrored(names: Coordinates) -> np.ndarray:
                 f"prediction.ends: {name} stands for both legs at once, but a "
                 "periodic step needs two; say human: {legs: two}"
             )
-        if i not in device or opposite != name:
+        if i not in device or (opposite != name and opposite in names.device):
             found[i, names.index(opposite)] = 1.0
     turned = names.turned_by @ found[np.ix_(human, human)]
-    for i, name, own in zip(device, names.device, turned, strict=True):
-        if found[i].any():
-            continue
-        alike = [
-            other
-            for other, row in zip(names.device, names.turned_by, strict=True)
-            if other != name and np.allclose(np.abs(own), np.abs(row))
-        ]
-        if len(alike) != 1:
+    unpaired = ~found[device].any(axis=1)
+    rows = np.abs(names.turned_by)
+    for k in np.flatnonzero(unpaired):
+        alike = unpaired & np.isclose(rows, np.abs(turned[k])).all(axis=1)
+        alike[k] = False
+        if alike.sum() != 1:
             raise InputError(
-                f"prediction.ends: which joint is that of {name} on the other "
-                "leg is not known; give both in the device's file names that "
-                "differ in left and right alone, as knee_left and knee_right"
+                f"prediction.ends: which joint is that of {names.device[k]} on "
+                "the other leg is not known; give both in the device's file "
+                "names that differ in left and right alone, as knee_left and "
+                "knee_right"
             )
-        found[i, names.index(alike[0])] = 1.0
+        found[device[k], device[alike]] = 1.0
     beside = found[np.ix_(device, device)] @ names.turned_by
     for name, i, own, other in zip(
         names.device, device, turned, beside, strict=True

@@ -186,6 +186,10 @@ def build_simulator(
 _STEP_S = 0.05
 
 
+class _LostError(Exception):
+    """The integrator asks for rates of a state that is not finite."""
+
+
 def integrate(
     diagram: Diagram,
     context: Context,
@@ -218,7 +222,7 @@ def integrate(
 
     def rates(time, state):
         if not np.isfinite(state).all():  # Drake would end with an error
-            raise FloatingPointError
+            raise _LostError
         context.SetTime(time)
         context.SetContinuousState(state)
         return diagram.EvalTimeDerivatives(context).CopyToVector()
@@ -238,7 +242,7 @@ def integrate(
         try:
             with np.errstate(over="ignore", invalid="ignore"):
                 solver.step()
-        except FloatingPointError:
+        except _LostError:
             break
         if solver.status == "failed":
             break

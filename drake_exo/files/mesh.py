@@ -120,14 +120,8 @@ def read_cells(
             _check_gmsh(start)
         with _quiet():
             raw = read(path)
-            blocks = [b for b in raw.cells if b.type == cell_type]
-            cells = [b.data for b in blocks]
-            others = {
-                b.type: len(b.data)
-                for b in raw.cells
-                if blocks and b.type != cell_type and b.dim == blocks[0].dim
-            }
-            found = np.concatenate(cells) if cells else np.zeros((0, 1))
+            cells, dims = raw.cells_dict, {b.type: b.dim for b in raw.cells}
+            found = cells.pop(cell_type, np.zeros((0, 1)))
             nodes = np.asarray(raw.points, float)
     # meshio may exit the process; undecodable bytes mean a truncated file.
     except (SystemExit, UnicodeDecodeError) as error:
@@ -148,12 +142,13 @@ def read_cells(
             f"{path}: places of nodes are missing or out of all bounds; "
             f"{remedy}"
         )
-    for other, count in others.items():
-        raise InputError(
-            f"{path}: has {count} cells of type {other} beside its "
-            f"{cell_type} cells, which alone are read; mesh all of it in "
-            f"{cell_type} cells"
-        )
+    for other in cells:
+        if dims[other] == dims.get(cell_type):
+            raise InputError(
+                f"{path}: has {len(cells[other])} cells of type {other} beside "
+                f"its {cell_type} cells, which alone are read; mesh all of it "
+                f"in {cell_type} cells"
+            )
     if found.size and (found.min() < 0 or found.max() >= len(nodes)):
         raise InputError(
             f"{path}: a {cell_type} names a node that is not there; {remedy}"

@@ -124,6 +124,28 @@ def test_joints_of_a_device_find_each_other_whatever_their_names():
     )
     with pytest.raises(InputError, match="differ in left and right alone"):
         mirrored(twice)
+    # One name tells a side; others beside the same joints tell theirs.
+    half = Coordinates((*root, *legs), ("M1", "M2"), turned)
+    half = replace(
+        half,
+        names=tuple(n.replace("M1", "exo_left") for n in half.names),
+        device=("exo_left", "M2"),
+    )
+    np.testing.assert_array_equal(mirrored(half), mirrored(names))
+    pair = ("exo_left", "exo_right")
+    both = Coordinates(
+        (*root, *legs, *pair), ("M1", "M2", *pair), (*turned, *turned)
+    )
+    found = mirrored(both)
+    np.testing.assert_array_equal(found @ found, np.eye(11))
+    assert found[5, 8] == found[9, 10] == -1.0
+    alone = Coordinates(
+        (*root, *(n for n in legs if n != "M2"), *pair),
+        ("M1", *pair),
+        (turned[0], *turned),
+    )
+    with pytest.raises(InputError, match="that of M1 on the other leg is not"):
+        mirrored(alone)
 
 
 def test_two_steps_are_no_step(model, step):

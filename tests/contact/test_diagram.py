@@ -157,6 +157,44 @@ def test_motion_that_cannot_go_on_ends_there():
     assert np.isfinite(motion(motion.t_max)).all()
 
 
+def test_a_state_that_is_not_finite_ends_the_motion():
+    """SciPy widens its differences along a state that changes no rate."""
+
+    class Rough(LeafSystem):
+        def __init__(self):
+            super().__init__()
+            self.DeclareContinuousState(2)
+
+        def DoCalcTimeDerivatives(self, context, derivatives):
+            state = context.get_continuous_state_vector().CopyToVector()
+            if not np.isfinite(state).all():
+                raise RuntimeError("as Drake's plant does")
+            turn = np.sign(np.sin(97.0 * context.get_time()))
+            rate = 1e3 * (np.sin(300.0 * state[1]) - turn)
+            derivatives.SetFromVector([1.0, rate])
+
+    builder = DiagramBuilder()
+    builder.AddSystem(Rough())
+    diagram = builder.Build()
+    motion = integrate(diagram, diagram.CreateDefaultContext(), 0.3)
+    assert motion.t_max > 0.1
+    assert np.isfinite(motion(motion.t_max)).all()
+
+
+def test_an_error_of_a_controller_is_no_end_of_a_motion():
+    class Breaks(HoldPosture):
+        def _calc(self, context, output):
+            if context.get_time() > 0.01:
+                raise FloatingPointError("of the controller")
+            output.SetFromVector(np.zeros(output.size()))
+
+    controller = Breaks([0.0] * 3, [100.0] * 3, [10.0] * 3)
+    model = build_diagram(nominal_model("rigid"), controller=controller)
+    context = model.diagram.CreateDefaultContext()
+    with pytest.raises(FloatingPointError, match="of the controller"):
+        integrate(model.diagram, context, 0.3)
+
+
 def sliding_block(law, friction):
     """A 20 kg block on two spheres, free in the sagittal plane."""
     plant = MultibodyPlant(0.0)

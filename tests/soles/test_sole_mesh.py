@@ -133,9 +133,10 @@ def test_cells_that_are_no_tets_are_not_left_out(tmp_path):
     """A half of hexahedra would be missing in the sole."""
     mesh, path = brick(SIZE, (3, 2, 2)), tmp_path / "sole.msh"
     hexa = np.array([[0, 4, 6, 2, 1, 5, 7, 3]])
-    cells = [("tetra", mesh.tets), ("hexahedron", hexa)]
+    two, one = ("hexahedron", np.vstack([hexa, hexa])), ("hexahedron", hexa)
+    cells = [two, ("tetra", mesh.tets), one]
     meshio.write(path, meshio.Mesh(mesh.nodes, cells), file_format="gmsh22")
-    with pytest.raises(InputError, match="1 cells of type hexahedron beside"):
+    with pytest.raises(InputError, match="3 cells of type hexahedron beside"):
         read_mesh(path)
 
 

@@ -280,6 +280,7 @@ def test_a_walk_is_recorded(alone, tmp_path):
         ]
     )
     assert len(changes) == 4
+    assert (np.abs(fine[:, None] - changes).min(axis=1) < 0.05).mean() > 0.7
     # A forefoot comes down as well: the centre of pressure leaps forward.
     for foot in solved.feet.values():
         speed = np.gradient(foot.cop_x, solved.times)
