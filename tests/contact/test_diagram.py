@@ -157,8 +157,8 @@ def test_motion_that_cannot_go_on_ends_there():
     assert np.isfinite(motion(motion.t_max)).all()
 
 
-def test_a_state_that_is_not_finite_ends_the_motion():
-    """SciPy widens its differences along a state that changes no rate."""
+def test_a_state_that_changes_no_rate_ends_no_motion():
+    """SciPy widens its differences along it tenfold at each Jacobian."""
 
     class Rough(LeafSystem):
         def __init__(self):
@@ -177,8 +177,8 @@ def test_a_state_that_is_not_finite_ends_the_motion():
     builder.AddSystem(Rough())
     diagram = builder.Build()
     motion = integrate(diagram, diagram.CreateDefaultContext(), 0.3)
-    assert motion.t_max > 0.1
-    assert np.isfinite(motion(motion.t_max)).all()
+    assert motion.t_max == pytest.approx(0.3)
+    assert motion(0.3)[0] == pytest.approx(0.3)
 
 
 def test_an_error_of_a_controller_is_no_end_of_a_motion():
