@@ -36,7 +36,6 @@ _IGNORED = shutil.ignore_patterns(
     ".*", "__pycache__", "demo_results", "*.egg-info", "api"
 )
 # What every test imports before it comes to the package: once, not each time.
-# Not ipyopt: the package loads it with another BLAS, which rounds otherwise.
 _COMMON = (
     *("numpy", "scipy.signal", "scipy.optimize", "scipy.sparse.linalg"),
     *("pydrake.all", "matplotlib.figure", "numba", "meshio", "meshcat"),

@@ -392,7 +392,7 @@ def _options(hint) -> list:
 
 LAB = "lab"
 _LIBRARIES = (
-    *("drake", "numpy", "scipy", "ipyopt", "scs", "matplotlib"),
+    *("drake", "numpy", "scipy", "casadi", "matplotlib"),
     *("numba", "mmgpy", "meshio", "ezc3d"),
 )
 _CODE = (".py", ".sdf", ".xml", ".obj", ".js", ".css")

@@ -6,11 +6,13 @@ change in some of the files, give the same command to continue.
 
 import argparse
 import os
+import sys
 from pathlib import Path
 
 from drake_exo.batch.results import is_told, write_results
 from drake_exo.batch.run import Batch, run_batch
 from drake_exo.cli import positive
+from drake_exo.errors import InputError
 from drake_exo.jobs.engine import Processes
 
 _PARSE = "drake_exo.cli:parse"
@@ -51,6 +53,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run what is not done yet; 0 if all of it holds, else 3."""
+    if args.memory is not None and sys.platform != "linux":
+        raise InputError(
+            "--memory: only Linux bounds the memory of a process; leave it out"
+        )
 
     def open_pool():
         if args.scheduler is None:

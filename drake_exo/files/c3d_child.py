@@ -20,7 +20,8 @@ if __name__ == "__main__":
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     longest = _MOST_SECONDS * (1 + (os.path.getsize(sys.argv[1]) >> 20))
-    resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY, _MOST_MEMORY))
+    if sys.platform == "linux":  # macOS refuses such a bound
+        resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY, _MOST_MEMORY))
     resource.setrlimit(resource.RLIMIT_CPU, (longest, longest))
 
     import ezc3d

@@ -13,9 +13,9 @@ import numpy as np
 from pydrake.solvers import IpoptSolver, MathematicalProgram
 from pydrake.solvers import SolverOptions as DrakeSolverOptions
 
-from drake_exo.errors import InputError
-from drake_exo.nlp import load_ipyopt, stop_on_interrupt
+from drake_exo.nlp import stop_on_interrupt
 from drake_exo.nlp.infeasibility import Excess, relax
+from drake_exo.nlp.ipopt_library import Outcome, run_ipopt
 from drake_exo.nlp.program import (
     BatchedProgram,
     nonlinear_constraints,
@@ -24,8 +24,6 @@ from drake_exo.nlp.program import (
     variable_scaling,
 )
 from drake_exo.nlp.sparse import SparseProgram, violation
-
-ipyopt = load_ipyopt()
 
 # Status of a solve that the user stopped.
 STOPPED_BY_USER = "stopped by the user"
@@ -274,8 +272,8 @@ def solve(
     def relaxed(program, y):
         """Solve an elastic program; None if that fails."""
         watch = _Watch(program, "elastic", tell, stop)
-        y, _, status = _attempt(program, y, soft, watch)
-        return y if status in _ACCEPTED else None
+        found = _attempt(program, y, soft, watch)
+        return found.x if found.status in _ACCEPTED else None
 
     with stop_on_interrupt(stop):
         for strategy in options.strategies:
@@ -285,9 +283,10 @@ def solve(
             watches.append(watch)
             problem.exact_hessian = exact or strategy in _EXACT
             try:
-                y, objective, status = _attempt(problem, y0, options, watch)
+                found = _attempt(problem, y0, options, watch)
             finally:
                 problem.exact_hessian = exact
+            y, objective, status = found.x, found.cost, found.status
             if status in _ACCEPTED or infeasible or stop.is_set():
                 break
             if binding is None and watch.best_key[0] > 0.0:
@@ -319,12 +318,11 @@ class _Watch:
 
     Attributes:
         gave_up: whether it stopped the attempt for lack of progress.
-        raised: first error raised in a callback, which ends the attempt.
         best, best_key: best iterate, its violation (0 if feasible) and cost.
     """
 
     def __init__(self, problem, strategy, on_iterate, stop):
-        self.gave_up, self.raised = False, None
+        self.gave_up = False
         self._restoring = 0
         self._least, self._least_at = np.inf, 0
         self.problem = problem
@@ -353,7 +351,7 @@ class _Watch:
         x = None if y is None else self.problem.expand(y)
         self.on_iterate(Iterate(self.strategy, iteration, objective, inf_pr, x))
         self._judge(mode, iteration, max(inf_pr, inf_du))
-        return not (self.stop.is_set() or self.gave_up or self.raised)
+        return not (self.stop.is_set() or self.gave_up)
 
     def _judge(self, mode, iteration, error):
         self._restoring += mode != 0
@@ -419,76 +417,28 @@ def _ipopt_options(options, strategy) -> dict:
     }
 
 
-def _attempt(problem, y0, options, watch):
+def _attempt(problem, y0, options, watch) -> Outcome:
     def gradient(y):
         watch.accepted(y)
         return problem.gradient(y)
 
-    def filled(function):
-        """Copy values into the array that IPOPT hands over."""
-
-        def call(*args):
-            *given, out = args
-            out[:] = function(*given)
-
-        return guarded(call)
-
-    def guarded(function, instead=np.nan):
-        """Keep errors out of IPOPT's C++; they are raised afterwards."""
-
-        def call(*args):
-            try:
-                return function(*args)
-            except BaseException as error:
-                watch.raised = watch.raised or error
-                return instead
-
-        return call
-
     problem.start_again()
-    nlp = ipyopt.Problem(
-        problem.num_unknowns,
-        _finite(problem.y_lower),
-        _finite(problem.y_upper),
-        problem.num_constraints,
-        _finite(problem.g_lower),
-        _finite(problem.g_upper),
-        _listed(problem.jacobian_structure),
-        _listed(problem.hessian_structure),
-        guarded(problem.objective),
-        filled(gradient),
-        filled(problem.constraints),
-        filled(problem.jacobian),
-        filled(problem.hessian),
-        intermediate_callback=guarded(watch, False),
-    )
-    for name, value in _ipopt_options(options, watch.strategy).items():
-        try:
-            nlp.set(**{name: value})
-        except ValueError as error:
-            raise InputError(
-                f"IPOPT takes no option {name!r} of {value!r}; see its list of "
-                "options, and write a real number with a decimal point"
-            ) from error
     # A trial step may overflow; IPOPT shortens it if a value is infinite.
     with np.errstate(all="ignore"):
-        y, objective, status = nlp.solve(y0.copy())
-    if watch.raised:
-        raise watch.raised
-    return y, objective, status
-
-
-def _listed(structure):
-    """Rows and columns as lists, which ipyopt reads ten times faster."""
-    # Equal numbers share one object, to save memory.
-    numbers = np.arange(1 + max(part.max(initial=0) for part in structure))
-    numbers = numbers.astype(object)
-    return tuple(numbers[part].tolist() for part in structure)
-
-
-def _finite(bounds):
-    """Bounds with infinity as IPOPT writes it."""
-    return np.clip(bounds, -2e19, 2e19)
+        return run_ipopt(
+            y0,
+            (problem.y_lower, problem.y_upper),
+            (problem.g_lower, problem.g_upper),
+            problem.jacobian_structure,
+            problem.hessian_structure,
+            problem.objective,
+            gradient,
+            problem.constraints,
+            problem.jacobian,
+            problem.hessian,
+            watch,
+            _ipopt_options(options, watch.strategy),
+        )
 
 
 def _solution(problem, y, objective, status, watch, iterations, elapsed):

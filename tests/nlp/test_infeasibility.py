@@ -1,5 +1,7 @@
 """Faults of a program: told before a solve, and found after one."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -127,7 +129,7 @@ def test_what_gives_way_to_soft_springs_alone_is_no_verdict(monkeypatch):
 
     def attempt(program, y, options, watch):
         tried.append(watch.strategy)
-        return y, np.inf, -2
+        return SimpleNamespace(x=y, cost=np.inf, status=-2)
 
     monkeypatch.setattr(ipopt, "relax", lambda *_: (y, [found], infeasible))
     monkeypatch.setattr(ipopt, "_attempt", attempt)

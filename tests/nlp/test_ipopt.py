@@ -1,11 +1,8 @@
 """Solving: status, sealing, strategies, interruption."""
 
-import ctypes
 import os
 import signal
-import sys
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +11,7 @@ from pydrake.solvers import IpoptSolver, MathematicalProgram
 from small_programs import Circle, pushed_cart, valleys
 
 from drake_exo.errors import InputError
-from drake_exo.nlp import ipopt, load_ipyopt, stop_on_interrupt
+from drake_exo.nlp import ipopt, stop_on_interrupt
 from drake_exo.nlp.ipopt import SealedSolutionError, SolverOptions
 from drake_exo.nlp.program import BatchedProgram, variable_bounds
 from drake_exo.nlp.sparse import SparseProgram
@@ -390,19 +387,3 @@ def test_rounding_ends_a_solve_that_is_near(strategy, tenfold):
     assert found["acceptable_tol"] == pytest.approx(tenfold * 1e-5)
     assert found["acceptable_iter"] == 3
     assert found["acceptable_obj_change_tol"] == 1e-7
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="wheels for Linux alone")
-def test_mumps_meets_the_fast_blas_first():
-    """What the process calls dgemm is SCS's OpenBLAS."""
-    load_ipyopt()
-    process = ctypes.CDLL(None)
-    place = ctypes.cast(process.dgemm_, ctypes.c_void_p).value
-    for line in Path("/proc/self/maps").read_text().splitlines():
-        ends, *_, mapped = line.split(maxsplit=5)
-        low, high = (int(end, 16) for end in ends.split("-"))
-        if low <= place < high:
-            assert Path(mapped).parent.name == "scs.libs"
-            assert Path(mapped).name.startswith("libopenblas")
-            return
-    raise AssertionError("dgemm is nowhere")

@@ -1,11 +1,11 @@
 """Solve a `ShapeProblem` with IPOPT.
 
-IPOPT is called directly (its wheel brings MUMPS). Its Hessian is the exact one
-of the regularization plus a dense BFGS approximation of everything that comes
-out of simulations (Nocedal and Wright, Numerical Optimization, 2nd ed.,
-procedure 18.2: Powell's damping keeps it positive definite). Unlike IPOPT's
-limited-memory approximation it forgets nothing, and the fine stages start from
-what the cheap coarse ones have built up.
+IPOPT is called directly. Its Hessian is the exact one of the regularization
+plus a dense BFGS approximation of all that comes out of simulations (Nocedal
+and Wright, Numerical Optimization, 2nd ed., procedure 18.2: Powell's damping
+keeps it positive definite). Unlike IPOPT's limited-memory approximation it
+forgets nothing, and the fine stages start from what the cheap coarse ones have
+built up.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,7 +14,8 @@ from threading import Event
 
 import numpy as np
 
-from drake_exo.nlp import load_ipyopt, stop_on_interrupt
+from drake_exo.nlp import stop_on_interrupt
+from drake_exo.nlp.ipopt_library import run_ipopt
 from drake_exo.soles.optimize.limits import FEASIBLE
 from drake_exo.soles.optimize.problem import ShapeProblem
 
@@ -189,7 +190,7 @@ class _Callbacks:
     ):
         self.problem, self.curvature, self.best = problem, curvature, best
         self.say = say
-        self.stop, self.stalled, self._error = Event(), False, None
+        self.stop, self.stalled = Event(), False
         # Cost, violation, error, iteration, rejections at the last progress.
         self._mark = (np.inf, np.inf, np.inf, 0, 0)
         self._point, self._derivatives = None, None
@@ -209,44 +210,26 @@ class _Callbacks:
             self.best.consider(p, *cost_and_violation(self.problem, p))
         return self._derivatives
 
-    @property
-    def raised(self) -> BaseException | None:
-        """The error that ends the search: the first one, or Ctrl-C."""
-        return self._error or (
-            KeyboardInterrupt() if self.stop.is_set() else None
-        )
-
-    def guarded(self, function, instead=np.nan):
-        """The function, with its errors kept from IPOPT's C++.
-
-        After one nothing more is computed, and `minimise` raises it again.
-        """
+    def interruptible(self, function):
+        """The function, which raises KeyboardInterrupt after a Ctrl-C."""
 
         def call(*args):
-            if self.raised:
-                return instead
-            try:
-                return function(*args)
-            except BaseException as error:
-                self._error = error
-                return instead
+            if self.stop.is_set():
+                raise KeyboardInterrupt
+            return function(*args)
 
         return call
 
-    def gradient(self, p, out):
-        """Write the gradient of the cost into out (P,)."""
-        out[()] = self.at(p)[0] + self.problem.regularization(p)[1]
+    def gradient(self, p):
+        """Gradient of the cost, (P,)."""
+        return self.at(p)[0] + self.problem.regularization(p)[1]
 
-    def constraints(self, p, out):
-        """Write the values of the constraints into out (m,)."""
-        out[()] = self.problem.constraints(p)
+    def jacobian(self, p):
+        """The constraints' Jacobian, row by row, (m P,)."""
+        return self.at(p)[1].ravel()
 
-    def jacobian(self, p, out):
-        """Write the constraints' Jacobian, row by row, into out (m P,)."""
-        out[()] = self.at(p)[1].ravel()
-
-    def hessian(self, p, multipliers, factor, out):
-        """Write the Hessian's lower triangle; restoration has a factor of 0."""
+    def hessian(self, p, multipliers, factor):
+        """The Hessian's lower triangle; restoration has a factor of 0."""
         if factor > 0:
             self.curvature.update(p, *self.at(p), multipliers / factor)
             self.best.latest = (p.copy(), multipliers / factor, self._barrier)
@@ -255,7 +238,7 @@ class _Callbacks:
         else:
             self._before = None  # restoration's trials are no rejected steps
         B = self.curvature.matrix + self.problem.regularization(p)[2]
-        out[()] = max(factor, 1e-3) * B[np.tril_indices(len(p))]
+        return max(factor, 1e-3) * B[np.tril_indices(len(p))]
 
     def _adapt(self) -> None:
         """Adapt the factor on the Hessian to the trials rejected since."""
@@ -281,7 +264,7 @@ class _Callbacks:
         self.stalled = (
             iteration - mark[3] >= _PATIENCE or rejected - mark[4] > _REJECTED
         )
-        return not (self.raised or self.stalled)
+        return not self.stalled
 
 
 def cost_and_violation(problem, p) -> tuple[float, float]:
@@ -322,47 +305,46 @@ def minimise(
     curvature.forget_point()
     calls = _Callbacks(problem, curvature, best, on_iterate, refining)
     outside = float(np.maximum(-problem.constraints(p0), 0.0).sum())
-    solver = load_ipyopt().Problem(
-        n,
-        *(np.full(n, side) for side in bounds),
-        m,
-        np.zeros(m),
-        np.full(m, 1e20),
-        np.divmod(np.arange(m * n), n),
-        np.tril_indices(n),
-        calls.guarded(problem.cost),
-        calls.guarded(calls.gradient),
-        calls.guarded(calls.constraints),
-        calls.guarded(calls.jacobian),
-        calls.guarded(calls.hessian),
-        intermediate_callback=calls.guarded(calls.watch, False),
-        ipopt_options={
-            "max_iter": iterations,
-            "tol": tolerance,
-            # Caps the violation: far outside, a simulation says little.
-            "theta_max_fact": max(0.1, 1.5 * outside),
-            **_OPTIONS,
-            **({**_WARM, "mu_init": warm.barrier} if warm else {}),
-        },
-    )
-    multipliers, low, high = np.zeros(m), np.zeros(n), np.zeros(n)
+    multipliers, at_bounds = None, None
     if warm is not None:  # multipliers of the bounds from the barrier
-        multipliers[:] = warm.multipliers
-        low[:] = warm.barrier / np.maximum(warm.latest - bounds[0], 1e-9)
-        high[:] = warm.barrier / np.maximum(bounds[1] - warm.latest, 1e-9)
+        multipliers = warm.multipliers
+        at_bounds = (
+            warm.barrier / np.maximum(warm.latest - bounds[0], 1e-9),
+            warm.barrier / np.maximum(bounds[1] - warm.latest, 1e-9),
+        )
         if problem.evaluate(warm.p) is not None:
             best.consider(warm.p, *cost_and_violation(problem, warm.p))
+    functions = (
+        *(problem.cost, calls.gradient, problem.constraints),
+        *(calls.jacobian, calls.hessian, calls.watch),
+    )
     with stop_on_interrupt(calls.stop):
-        p, _, status = solver.solve(
-            p0, mult_g=multipliers, mult_x_L=low, mult_x_U=high
+        found = run_ipopt(
+            p0,
+            tuple(np.full(n, side) for side in bounds),
+            (np.zeros(m), np.full(m, np.inf)),
+            np.divmod(np.arange(m * n), n),
+            np.tril_indices(n),
+            *map(calls.interruptible, functions),
+            {
+                "max_iter": iterations,
+                "tol": tolerance,
+                # Caps the violation: far outside, a simulation says little.
+                "theta_max_fact": max(0.1, 1.5 * outside),
+                **_OPTIONS,
+                **({**_WARM, "mu_init": warm.barrier} if warm else {}),
+            },
+            multipliers,
+            at_bounds,
         )
-    if calls.raised:
-        raise calls.raised
+    if calls.stop.is_set():
+        raise KeyboardInterrupt
+    p, status = found.x, found.status
     best.status = _STATUS.get(status, f"IPOPT code {status}")
     if calls.stalled:
         best.status = "no more progress"
     best.optimal = status == 0
-    best.multipliers, best.at_bounds = multipliers, (low, high)
+    best.multipliers, best.at_bounds = found.multipliers, found.at_bounds
     if problem.evaluate(p) is not None:
         _verify(problem, best, p, bounds, *calls.at(p))
     # From here on designs are simulated from a cold start.
