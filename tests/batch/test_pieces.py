@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from drake_exo import cli
 from drake_exo.batch import results, run
 from drake_exo.batch.file import Task, variant_name
 from drake_exo.batch.results import Row
@@ -241,6 +242,13 @@ def test_a_call_is_timed(monkeypatch):
     )
     process_child.bound_memory(3)
     assert limits == [(3 * 1048576, 3 * 1048576)]
+
+
+def test_memory_is_bound_on_linux_alone(monkeypatch, capsys):
+    monkeypatch.setattr("sys.platform", "darwin")
+    command = ["batch", "none.yaml", "--out", "none", "--memory", "100"]
+    assert cli.main(command) == 2
+    assert "--memory: only Linux bounds" in capsys.readouterr().err
 
 
 def test_peaks_are_read_where_predictions_are(monkeypatch, tmp_path):

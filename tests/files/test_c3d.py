@@ -3,6 +3,8 @@
 import copy
 import re
 import struct
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -327,6 +329,30 @@ def test_refuses_what_is_no_c3d(tmp_path):
         read_c3d(path)
     with pytest.raises(InputError, match="cannot be read"):
         read_c3d(tmp_path / "none.c3d")
+
+
+# macOS: no bound on the address space is accepted.
+_AS_MACOS = """
+import resource, runpy, sys
+sys.platform = "darwin"
+bound = resource.setrlimit
+def refuse(what, both):
+    if what == resource.RLIMIT_AS:
+        raise ValueError("current limit exceeds maximum limit")
+    bound(what, both)
+resource.setrlimit = refuse
+runpy.run_path(sys.argv[1], run_name="__main__")
+"""
+
+
+@pytest.mark.slow
+def test_decodes_where_memory_cannot_be_bound(tmp_path):
+    path = tmp_path / "a.c3d"
+    path.write_text("not at all " * 200)
+    command = [sys.executable, "-c", _AS_MACOS, c3d_files._CHILD, path]
+    ended = subprocess.run(command, capture_output=True, text=True)
+    assert "limit" not in ended.stderr
+    assert ended.returncode == 1
 
 
 @pytest.fixture(scope="module")
