@@ -242,7 +242,7 @@ def test_sums_do_not_depend_on_how_many_cores_there_are():
         ("design {loop} --calibration here --out here", "loop: "),
         ("batch {loop} --out here", "loop: "),
         ("lab --model {loop} --out here", "loop: "),
-        ("sole report {long}", "File name too long"),
+        ("sole report {long}", "xxx"),  # in other words from Python 3.14 on
         ("sole reduce here --out .", "give a .yaml file for --out"),
         ("sole reduce here --out law.txt", "give a .yaml file for --out"),
         ("sole study --data-root gone --out here", "gone: is not a folder"),
