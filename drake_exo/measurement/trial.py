@@ -8,7 +8,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from drake_exo.errors import InputError, check_bounds, check_type, path_of
+from drake_exo.errors import (
+    InputError,
+    check_bounds,
+    check_type,
+    nearest,
+    path_of,
+)
 from drake_exo.files.output import read_arrays, read_json, write_json
 from drake_exo.measurement import kinematics
 from drake_exo.measurement.sagittal import PlanarWrench, fixed
@@ -310,6 +316,7 @@ class Trial:
             raise InputError(
                 f"trial {self.name}: nothing is known of a cuff {name!r}; "
                 f"there are {', '.join(self.cuffs) or 'none'}"
+                f"{nearest(name, self.cuffs)}"
             )
         return self.cuffs[name]
 
