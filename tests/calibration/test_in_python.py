@@ -162,7 +162,7 @@ def test_names_of_variables_are_those_of_the_contact(posed):
         posed.variables_of("thigh.slip")
     with pytest.raises(InputError, match="no 'slip'"):
         posed.variables_of(["slip"])
-    with pytest.raises(InputError, match="did you mean 'thigh.slip'"):
+    with pytest.raises(InputError, match=r"did you mean 'thigh\.slip'"):
         posed.variables_of(["tigh.slip"])
     (trial,) = posed.trials
     with pytest.raises(InputError, match="did you mean 'pelvis'"):
