@@ -77,8 +77,11 @@ class Uncertainty:
 
     def __repr__(self) -> str:
         # Without the arrays: a notebook prints this for its last line.
-        widths = zip(self.names, self.half_width, strict=True)
-        told = (f"{name} ± {width:.3g}" for name, width in widths)
+        rows = zip(self.names, self.half_width, self.at_bound, strict=True)
+        told = (
+            f"{name} at a bound" if held else f"{name} ± {width:.3g}"
+            for name, width, held in rows
+        )
         return f"Uncertainty({', '.join(told)})"
 
     @property

@@ -135,6 +135,7 @@ def test_a_bound_that_is_added_to_the_program_is_told(made):
     assert held not in known.names
     assert known.at_bound[place]
     assert not known.identifiable[place]
+    assert f"{low} at a bound" in repr(known)
     rows = {p["name"]: p for p in found.summary()["parameters"]}
     assert rows[low]["at_bound"]
     assert "half_width_95" not in rows[low] or not rows[low]["half_width_95"]

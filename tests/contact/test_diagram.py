@@ -443,3 +443,16 @@ def test_meshcat_shows_the_simulation():
     simulator.AdvanceTo(0.001)
     assert meshcat.HasPath("/drake/visualizer/human/pelvis")
     model.diagram.ToAutoDiffXd()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"integrator": "radau33"}, "no integrator 'radau33'; .*mean 'radau3'"),
+        ({"accuracy": 0.0}, "accuracy is 0, but must be above 0"),
+    ],
+)
+def test_settings_of_a_simulator_are_checked(wrong, words):
+    built = build_diagram(nominal_model("human"))
+    with pytest.raises(InputError, match=words):
+        build_simulator(built, **wrong)
