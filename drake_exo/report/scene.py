@@ -144,6 +144,8 @@ class Scene:
                 f"pose needs {self.plant.num_positions()} positions, "
                 f"not shape {q.shape}"
             )
+        if not np.isfinite(q).all():  # Drake would end the process
+            raise InputError("pose holds values that are not finite numbers")
         self.context.SetTime(time_s)
         self.plant.SetPositions(
             self.plant.GetMyMutableContextFromRoot(self.context), q

@@ -99,6 +99,8 @@ def test_picture_shows_a_subject_of_the_right_height():
 def test_pose_of_another_plant_is_refused():
     with pytest.raises(ValueError, match="6 positions"):
         Scene(nominal_model("rigid")).set_pose(np.zeros(9))
+    with pytest.raises(InputError, match="pose holds values that are not"):
+        Scene(nominal_model("rigid")).set_pose(np.full(6, np.nan))
 
 
 def test_a_stool_stands_on_the_floor_under_its_seat():
