@@ -80,17 +80,20 @@ def on_demand(package: str, places: dict, rooms: dict | None = None) -> tuple:
     """
     rooms = rooms or {}
     homes = {name: place for place, names in places.items() for name in names}
+    every = sorted([*homes, *rooms])
 
     def __getattr__(name: str):  # noqa: N807
         if name not in homes and name not in rooms:
+            from drake_exo.errors import nearest
+
             raise AttributeError(
                 f"module {package!r} has no attribute {name!r}"
+                f"{nearest(name, every)}"
             )
         place = rooms.get(name) or homes[name]
         module = importlib.import_module(f"{package}.{place}")
         return module if name in rooms else getattr(module, name)
 
-    every = sorted([*homes, *rooms])
     return __getattr__, lambda: every, every
 
 

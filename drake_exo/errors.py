@@ -86,6 +86,7 @@ def check_names(names: Iterable[str], known: Iterable[str]) -> None:
         if name not in known:
             raise InputError(
                 f"there is no {name!r}; there are {', '.join(map(str, known))}"
+                f"{nearest(name, known)}"
             )
 
 

@@ -640,6 +640,7 @@ class Calibration(_Solved):
         if name not in known:
             raise InputError(
                 f"there is no parameter {name!r}; known are {', '.join(known)}"
+                f"{nearest(name, known)}"
             )
         return known[name]
 

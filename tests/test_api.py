@@ -134,3 +134,16 @@ def test_the_page_of_all_names_is_made(tmp_path):
     ).read_text("utf-8")
     diagrams = tmp_path / "drake_exo" / "contact" / "diagram.html"
     assert "energies; input" in diagrams.read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("room", "wrong", "right"),
+    [
+        (dx, "read_stdy", "read_study"),
+        (dx.contact, "FootGroundContct", "FootGroundContact"),
+        (dx.soles, "Cse", "Case"),
+    ],
+)
+def test_a_misspelt_name_tells_the_right_one(room, wrong, right):
+    with pytest.raises(AttributeError, match=f"did you mean '{right}'"):
+        getattr(room, wrong)

@@ -98,7 +98,7 @@ class PhaseResult:
     @cached_property
     def parameters(self) -> list[ContactParameter]:
         """Calibrated parameters, with the value found as `nominal`."""
-        return self.problem.parameters_at(self.values)
+        return self.problem.parameters_at(self.values, self.compiled)
 
     @cached_property
     def contact(self) -> ContactModel:
@@ -648,19 +648,34 @@ class PhaseProblem(Compiles, ABC):
 
     def result(self, solution: Solution) -> PhaseResult:
         """The phase's result of a solution; sealed if the solve failed."""
-        found = self.parameters_at(solution.raw_values())
+        compiled = self.compiled
+        found = self.parameters_at(solution.raw_values(), compiled)
         solution.active_bounds = [
             p.name for p in found if p.free and p.at_bound(p.nominal)
         ]
-        return PhaseResult(self, solution, self.compiled)
+        return PhaseResult(self, solution, compiled)
 
-    def parameters_at(self, x: np.ndarray) -> list[ContactParameter]:
-        """Calibrated parameters with their values in x as `nominal`."""
-        found = x[self.program.indices(self.parameter_variables)]
-        return [
-            replace(p, nominal=float(np.clip(value, p.lower, p.upper)))
-            for p, value in zip(self.parameters, found, strict=True)
-        ]
+    def parameters_at(
+        self, x: np.ndarray, compiled: SparseProgram | None = None
+    ) -> list[ContactParameter]:
+        """Calibrated parameters with their values in x as `nominal`.
+
+        Args:
+            x: (num_vars,) program variables.
+            compiled: the program as solved; what was added to it bounds or
+                fixes parameters, too.
+        """
+        index = self.program.indices(self.parameter_variables)
+        known, found = (compiled or self.compiled).unknowns, []
+        for p, k in zip(self.parameters, index, strict=True):
+            lower, upper = float(known.x_lower[k]), float(known.x_upper[k])
+            value = float(np.clip(x[k], lower, upper))
+            if p.free and lower < upper:
+                p = replace(p, nominal=value, lower=lower, upper=upper)
+            else:
+                p = replace(p, nominal=value, free=False)
+            found.append(p)
+        return found
 
     def read(
         self, movement: TrialProgram, trial: Trial, x, success: bool

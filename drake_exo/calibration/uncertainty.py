@@ -77,8 +77,11 @@ class Uncertainty:
 
     def __repr__(self) -> str:
         # Without the arrays: a notebook prints this for its last line.
-        widths = zip(self.names, self.half_width, strict=True)
-        told = (f"{name} ± {width:.3g}" for name, width in widths)
+        rows = zip(self.names, self.half_width, self.at_bound, strict=True)
+        told = (
+            f"{name} at a bound" if held else f"{name} ± {width:.3g}"
+            for name, width, held in rows
+        )
         return f"Uncertainty({', '.join(told)})"
 
     @property
@@ -144,7 +147,7 @@ def uncertainty(
     _, errors = problem.errors.prior()
     by_errors = by_x[:, problem.program.indices(problem.error_variables)]
     covariance += by_errors @ np.linalg.solve(errors, by_errors.T)
-    chosen = [problem.parameters[k] for k in free]
+    chosen = [result.parameters[k] for k in free]
     x = result.values[index]
     # In the parameter's own unit, also of a prior of logarithms.
     prior = np.array(
@@ -210,12 +213,7 @@ def posterior(result: PhaseResult) -> Posterior:
 
 def _free(result: PhaseResult) -> list[int]:
     """Indices of parameters that are free and not fixed in the program."""
-    problem, unknowns = result.problem, result.compiled.unknowns
-    index = problem.program.indices(problem.parameter_variables)
-    held = unknowns.x_lower[index] == unknowns.x_upper[index]
-    return [
-        k for k, p in enumerate(problem.parameters) if p.free and not held[k]
-    ]
+    return [k for k, p in enumerate(result.parameters) if p.free]
 
 
 def _shared(result: PhaseResult) -> np.ndarray:

@@ -22,6 +22,7 @@ from pydrake.multibody.plant import (
 )
 from pydrake.systems.analysis import (
     ApplySimulatorConfig,
+    GetIntegrationSchemes,
     Simulator,
     SimulatorConfig,
 )
@@ -41,7 +42,7 @@ from drake_exo.contact.systems import (
     FootGroundContact_,
     HumanExoskeletonBushings_,
 )
-from drake_exo.errors import InputError, check_type
+from drake_exo.errors import InputError, check_bounds, check_type, nearest
 from drake_exo.model.plant import Model
 
 # Ports of the plant that feed inputs of the same name.
@@ -163,6 +164,9 @@ def build_simulator(
         accuracy: relative, of the error control.
         integrator: name as in Drake's `SimulatorConfig`.
 
+    Raises:
+        InputError: no such integrator, or an accuracy that is not above 0.
+
     >>> from drake_exo.model.plant import nominal_model
     >>> simulator = build_simulator(build_diagram(nominal_model("human")))
     >>> simulator.get_integrator().get_target_accuracy()
@@ -171,6 +175,13 @@ def build_simulator(
     check_type(model, ExoskeletonDiagram, "model")
     if context is not None:
         check_type(context, Context, "context")
+    check_bounds("accuracy", accuracy, {"above": 0.0})
+    schemes = GetIntegrationSchemes()
+    if integrator not in schemes:
+        raise InputError(
+            f"there is no integrator {integrator!r}; Drake has "
+            f"{', '.join(schemes)}{nearest(integrator, schemes)}"
+        )
     simulator = Simulator(model.diagram, context)
     config = SimulatorConfig(
         integration_scheme=integrator,

@@ -248,7 +248,7 @@ class SoleLaw:
         return GroundContact("simbody", spheres, self.constants, True).checked()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False, eq=False)
 class Reduction:
     """S spheres fitted to a sole's N samples, and their forces there.
 
@@ -271,6 +271,14 @@ class Reduction:
     interval: np.ndarray
     force: np.ndarray
     cop: np.ndarray
+
+    def __repr__(self) -> str:
+        # Without the arrays: a notebook prints this for its last line.
+        return (
+            f"Reduction({len(self.stiffness)} spheres; force off by "
+            f"{100.0 * self.force_error:.1f} %, centre of pressure by "
+            f"{1e3 * self.cop_error:.1f} mm RMS)"
+        )
 
     @property
     def force_error(self) -> float:

@@ -26,6 +26,7 @@ from pydrake.math import RigidTransform_
 from pydrake.multibody.math import SpatialForce_, SpatialVelocity_
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce_
 from pydrake.multibody.tree import BodyIndex
+from pydrake.symbolic import Expression
 from pydrake.systems.framework import (
     BasicVector_,
     LeafSystem,
@@ -57,6 +58,10 @@ from drake_exo.errors import (
     check_fields,
     check_type,
 )
+
+# Least cosine between a body's y axis and the world's: half a millimetre where
+# a sphere is half a metre from its link's origin.
+_IN_PLANE = 0.999
 
 
 def made_on_demand(scope: dict) -> Callable[[str], type]:
@@ -123,13 +128,23 @@ def read_bodies(system: LeafSystem, context, bodies) -> list[BodyState]:
         system: the system that declared the ports.
         context: of that system.
         bodies: body indices.
+
+    Raises:
+        InputError: a body is turned out of the plane, in which alone forces
+            are known; not told of Expression.
     """
     poses = system.GetInputPort("body_poses").Eval(context)
     velocities = system.GetInputPort("body_spatial_velocities").Eval(context)
     found = []
     for body in bodies:
         X_WB = poses[int(body)].GetAsMatrix34().tolist()
-        (c, _, _, x), _, (s, _, _, z) = X_WB
+        (c, _, _, x), (_, upright, _, _), (s, _, _, z) = X_WB
+        if not isinstance(upright, Expression) and upright < _IN_PLANE:
+            raise InputError(
+                f"{system.get_name()}: body {int(body)} is turned out of the "
+                "x-z plane, in which alone forces are known; hold it there "
+                "by a planar joint, its y axis along the world's"
+            )
         V_WB = velocities[int(body)].get_coeffs().tolist()
         _, w_y, _, v_x, _, v_z = V_WB
         found.append(BodyState((x, z), (c, s), (v_x, v_z, -w_y)))
@@ -274,6 +289,8 @@ def FootGroundContact_(T):
             body: index of the foot link in the plant.
             parameters: `GroundContact`; a context starts with these values.
 
+        Outputs raise InputError where the link's y axis leaves the world's.
+
         >>> from drake_exo.contact.parameters import ContactSphere
         >>> heel = ContactSphere(5e6, 2.0, x=-0.05, z=-0.04, radius=0.032)
         >>> contact = FootGroundContact(
@@ -412,6 +429,8 @@ def HumanExoskeletonBushings_(T):
             pairs: (human link, exoskeleton link) body indices by name.
             parameters: `BushingParameters` by the same names; their order is
                 that of the outputs. A context starts with these values.
+
+        Outputs raise InputError where a link's y axis leaves the world's.
 
         >>> cuffs = HumanExoskeletonBushings(
         ...     {"thigh": (BodyIndex(1), BodyIndex(2))},

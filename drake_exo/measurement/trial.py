@@ -8,7 +8,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from drake_exo.errors import InputError, check_bounds, check_type, path_of
+from drake_exo.errors import (
+    InputError,
+    check_bounds,
+    check_type,
+    nearest,
+    path_of,
+)
 from drake_exo.files.output import read_arrays, read_json, write_json
 from drake_exo.measurement import kinematics
 from drake_exo.measurement.sagittal import PlanarWrench, fixed
@@ -16,6 +22,7 @@ from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.plant import Model
 
 Source = Literal["measured", "solved", "not solved", "simulated"]
+INSTRUMENTS = "forces", "encoders", "pressure"  # with clocks of their own
 _OUTSIDE_S = 1e-6  # rounding of a trial's end
 
 
@@ -77,7 +84,8 @@ class Trial:
 
     Raises:
         InputError: a part is of another type, an array holds no real numbers,
-            times do not increase, or the chair's share is not within 0 to 1.
+            times do not increase, the chair's share is not within 0 to 1, or
+            `provenance` asks for the clock of an unknown instrument.
         ValueError: an array has another shape.
 
     Attributes:
@@ -106,7 +114,8 @@ class Trial:
         start_s: time of the first sample in the recording [s].
         provenance: files, filters, and what was shifted or doubled. Clocks
             that it names under both "delays_s" (instrument -> lag taken out
-            [s]) and "clocks" (instrument -> text) are found by Phases B and C.
+            [s]) and "clocks" (instrument -> text) are found by Phases B and C:
+            those of "encoders" and "pressure".
         around: what the device's instruments showed from shortly before until
             shortly after this trial, too, as a trial; None where not known.
 
@@ -187,6 +196,15 @@ class Trial:
             check_type(lags, dict, where)
             for clock, lag in lags.items():
                 check_bounds(f"{where}.{clock}", lag, {"unit": "s"})
+        clocks = self.provenance.get("clocks", {})
+        check_type(clocks, dict, f"trial {self.name}: provenance.clocks")
+        for clock in clocks:
+            if clock in self.lags_s and clock not in INSTRUMENTS:
+                raise InputError(
+                    f"trial {self.name}: provenance.clocks names {clock!r}; "
+                    f"lags are known of {', '.join(INSTRUMENTS)}"
+                    f"{nearest(clock, INSTRUMENTS)}"
+                )
         columns = {
             **dict.fromkeys(("q", "v", "a", "jerk"), len(self.coordinates)),
             "moments": self.coordinates.num_joints,
@@ -310,6 +328,7 @@ class Trial:
             raise InputError(
                 f"trial {self.name}: nothing is known of a cuff {name!r}; "
                 f"there are {', '.join(self.cuffs) or 'none'}"
+                f"{nearest(name, self.cuffs)}"
             )
         return self.cuffs[name]
 

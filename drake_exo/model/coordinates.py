@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
-from drake_exo.errors import InputError
+from drake_exo.errors import InputError, nearest
 
 # What a planar joint to the ground adds: two lengths and an angle.
 _ROOT = ("x", "z", "pitch")
@@ -78,7 +78,7 @@ class Coordinates:
         if name not in self.names:
             raise InputError(
                 f"there is no coordinate {name!r}; known are "
-                f"{', '.join(self.names)}"
+                f"{', '.join(self.names)}{nearest(name, self.names)}"
             )
         return self.names.index(name)
 

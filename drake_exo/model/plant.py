@@ -12,6 +12,7 @@ and hip flexion are positive. Seen from the right, counter-clockwise (about
 import re
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -55,6 +56,7 @@ from drake_exo.model.device_file import (
     link_names,
     missing_link,
     placed,
+    with_text,
 )
 from drake_exo.model.planar_tree import DEVICE, PlanarTree
 from drake_exo.model.segments import (
@@ -374,7 +376,7 @@ class Model:
 
 
 def nominal_model(
-    kind: Kind = "coupled",
+    kind: Kind | Path | str = "coupled",
     mass_kg: float = NOMINAL_MASS_KG,
     height_m: float = NOMINAL_HEIGHT_M,
     sex: str = "male",
@@ -383,8 +385,16 @@ def nominal_model(
 
     Of another mass, height or sex, segments follow from de Leva's tables.
 
+    Args:
+        kind: see `Model`; or a .yaml file that holds what a study's `model`
+            says, for a device of your own or two legs. Paths in it start from
+            its folder.
+        mass_kg, height_m: the person's.
+        sex: "male" or "female".
+
     Raises:
-        InputError: unknown kind; mass, height or sex that nobody has.
+        InputError: unknown kind; mass, height or sex that nobody has; or the
+            file, or that of its device, is faulty.
 
     >>> round(nominal_model("human").tree.mass, 6)
     70.0
@@ -392,8 +402,22 @@ def nominal_model(
     Model('coupled', 62.0 kg, 1.68 m; cuffs shank, thigh, pelvis)
     """
     human = scale_human(mass_kg, height_m, sex)
-    alone = kind in ASSEMBLIES and not ASSEMBLIES[kind].device
-    return Model(kind, human, None if alone else fit_exoskeleton(human))
+    if str(kind).endswith((".yaml", ".yml")):
+        kind = _described(Path(kind))
+    described = isinstance(kind, Assembly)
+    fitted = kind.is_fitted if described else kind != "human"
+    return Model(kind, human, fit_exoskeleton(human) if fitted else None)
+
+
+def _described(path: Path) -> Assembly:
+    """The assembly that a file describes, the text of its device filled in."""
+    found = schema.load(path, Assembly)
+    if found.human.osim is not None:
+        raise InputError(
+            f"{path}: human.osim scales a person by a standing trial; leave it "
+            "out, or take the model of a study, read_study(...).model"
+        )
+    return with_text(found, path.parent)
 
 
 def _added(model: Model, plant: MultibodyPlant) -> MultibodyPlant:

@@ -34,7 +34,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
-from drake_exo.errors import check_type
+from drake_exo.errors import InputError, check_type
 from drake_exo.model.plant import Model
 
 RENDERER = "still"
@@ -54,6 +54,17 @@ def quiet_drake() -> Iterator[None]:
         yield
     finally:
         log.setLevel(level)
+
+
+def _angles(what: str, degrees, joints: Sequence[str]) -> np.ndarray:
+    """Angles [rad], one for each of the joints."""
+    found = np.asarray(degrees, dtype=float)
+    if found.shape != (len(joints),):
+        raise InputError(
+            f"{what} has the shape {found.shape}; give an angle for each of "
+            f"{', '.join(joints) or 'no joints'}"
+        )
+    return np.radians(found)
 
 
 class Scene:
@@ -133,6 +144,8 @@ class Scene:
                 f"pose needs {self.plant.num_positions()} positions, "
                 f"not shape {q.shape}"
             )
+        if not np.isfinite(q).all():  # Drake would end the process
+            raise InputError("pose holds values that are not finite numbers")
         self.context.SetTime(time_s)
         self.plant.SetPositions(
             self.plant.GetMyMutableContextFromRoot(self.context), q
@@ -141,26 +154,42 @@ class Scene:
     def upright_pose(
         self,
         joints_deg: Sequence[float],
-        offsets_deg: Sequence[float] = (0.0, 0.0, 0.0),
+        offsets_deg: Sequence[float] | float = 0.0,
     ) -> np.ndarray:
-        """Positions with flat feet on the ground.
+        """Positions with flat feet on the ground; of two legs, the left foot.
 
         Args:
-            joints_deg: the human's ankle, knee, hip [deg].
-            offsets_deg: added for the exoskeleton's [deg].
+            joints_deg: one for each of `coordinates.human` [deg]; of one leg
+                ankle, knee, hip.
+            offsets_deg: added for the exoskeleton's [deg], one for each of
+                `coordinates.device` or one for all.
 
         Returns:
             (nq,) positions of the plant.
+
+        Raises:
+            InputError: another number of angles.
         """
         plant, names = self.plant, self.coordinates
         body = np.zeros(len(names.body))
-        body[names.columns(names.human)] = np.radians(joints_deg)
+        joints = _angles("joints_deg", joints_deg, names.human)
+        body[names.columns(names.human)] = joints
         q = names.aligned(body[None])[0]
-        if names.device:
-            q[names.device_columns] += np.radians(offsets_deg)
-        shod = plant.HasFrameNamed("plate_heel")
-        sole = plant.GetFrameByName("plate_heel" if shod else "sole_heel")
-        q[1] = -sole.GetFixedPoseInBodyFrame().translation()[2]
+        if np.ndim(offsets_deg) == 0:
+            offsets_deg = [offsets_deg] * len(names.device)
+        q[names.device_columns] += _angles(
+            "offsets_deg", offsets_deg, names.device
+        )
+        heels = "plate_heel", "sole_heel", "sole_heel_left"
+        sole = plant.GetFrameByName(next(filter(plant.HasFrameNamed, heels)))
+        context = plant.CreateDefaultContext()
+        plant.SetPositions(context, q)
+        R = sole.CalcPoseInWorld(context).rotation().matrix()
+        q[2] -= np.arctan2(R[2, 0], R[0, 0])
+        plant.SetPositions(context, q)
+        ankle = plant.EvalBodyPoseInWorld(context, sole.body()).translation()
+        heel = sole.CalcPoseInWorld(context).translation()
+        q[:2] -= ankle[0], heel[2]
         return q
 
     def render(

@@ -89,6 +89,7 @@ class Case(Setup):
         read_step: StepReader | None = None,
     ) -> "Case":
         """Make a case from the text of a case file; see `read`."""
+        check_type(text, str, "text")
         settings = schema.load_text(text, Settings, "case")
         return cls.open(settings, data_root, read_step=read_step)
 

@@ -762,6 +762,13 @@ class SoleSamples(NamedTuple):
     middle: np.ndarray
     friction: float
 
+    def __repr__(self) -> str:
+        # Without the arrays: a notebook prints this for its last line.
+        return (
+            f"SoleSamples({len(self.force)} samples, up to "
+            f"{self.force.max(initial=0.0):.1f} N)"
+        )
+
 
 def sole_samples(source: Step | Path | str) -> SoleSamples:
     """Poses, forces and centres of pressure of a step.

@@ -112,6 +112,36 @@ def test_a_parameter_is_fixed_as_drake_fixes_it(made):
     assert known[name] == pytest.approx(3000.0)
 
 
+@pytest.mark.slow
+def test_a_bound_that_is_added_to_the_program_is_told(made):
+    settings = dx.settings.InteractionSettings(solver=COARSE)
+    posed = dx.InteractionCalibration(
+        made.model, made.trials, made.contact, settings
+    )
+    low, held = names = ["thigh.normal_stiffness", "shank.normal_stiffness"]
+    prog = posed.program.prog
+    prog.AddBoundingBoxConstraint(
+        [100.0, 3000.0], [3000.0, 3000.0], posed.variables_of(names)
+    )
+    study = dx.Study(made.model, made.trials, interaction=settings)
+    found = dx.Calibration("interaction", study, posed.solve())
+    assert found.success
+    assert found.parameter(low).upper == 3000.0
+    assert found.parameter(low).free
+    assert not found.parameter(held).free
+    assert found.solution.active_bounds == [low]
+    known = found.uncertainty()
+    place = known.names.index(low)
+    assert held not in known.names
+    assert known.at_bound[place]
+    assert not known.identifiable[place]
+    assert f"{low} at a bound" in repr(known)
+    rows = {p["name"]: p for p in found.summary()["parameters"]}
+    assert rows[low]["at_bound"]
+    assert "half_width_95" not in rows[low] or not rows[low]["half_width_95"]
+    assert not rows[held]["free"]
+
+
 @pytest.mark.parametrize(
     ("call", "words"),
     [
@@ -133,6 +163,11 @@ def test_names_of_variables_are_those_of_the_contact(posed):
         posed.variables_of("thigh.slip")
     with pytest.raises(InputError, match="no 'slip'"):
         posed.variables_of(["slip"])
+    with pytest.raises(InputError, match=r"did you mean 'thigh\.slip'"):
+        posed.variables_of(["tigh.slip"])
+    (trial,) = posed.trials
+    with pytest.raises(InputError, match="did you mean 'pelvis'"):
+        trial.cuff("plevis")
 
 
 @pytest.mark.parametrize(

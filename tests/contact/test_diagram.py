@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pydrake.geometry import Meshcat
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
@@ -443,3 +443,53 @@ def test_meshcat_shows_the_simulation():
     simulator.AdvanceTo(0.001)
     assert meshcat.HasPath("/drake/visualizer/human/pelvis")
     model.diagram.ToAutoDiffXd()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"integrator": "radau33"}, "no integrator 'radau33'; .*mean 'radau3'"),
+        ({"accuracy": 0.0}, "accuracy is 0, but must be above 0"),
+    ],
+)
+def test_settings_of_a_simulator_are_checked(wrong, words):
+    built = build_diagram(nominal_model("human"))
+    with pytest.raises(InputError, match=words):
+        build_simulator(built, **wrong)
+
+
+def test_a_robot_that_leaves_the_plane_is_refused():
+    """Turned about, its spheres would be looked for above it."""
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(MultibodyPlant(0.0))
+    foot = plant.AddRigidBody(
+        "foot", SpatialInertia.SolidBoxWithMass(5, 0.1, 0.1, 0.1)
+    )
+    plant.Finalize()
+    heel = ContactSphere(1e6, 0.5, x=0.1, z=-0.05, radius=0.05)
+    contact = builder.AddSystem(
+        FootGroundContact(
+            foot.index(), GroundContact("simbody", {"heel": heel})
+        )
+    )
+    for name in ("body_poses", "body_spatial_velocities"):
+        builder.Connect(plant.GetOutputPort(name), contact.GetInputPort(name))
+    builder.ExportOutput(contact.GetOutputPort("ground_reaction"), "ground")
+    diagram = builder.Build()
+
+    def reaction(diagram, roll, pitch, yaw):
+        context = diagram.CreateDefaultContext()
+        at = plant.CreateDefaultContext()
+        turned = RotationMatrix(RollPitchYaw(roll, pitch, yaw))
+        plant.SetFreeBodyPose(at, foot, RigidTransform(turned, [0, 0, 0.095]))
+        state = plant.GetPositionsAndVelocities(at)
+        context.SetContinuousState(state)
+        return diagram.GetOutputPort("ground").Eval(context)
+
+    assert reaction(diagram, 1e-3, 0.0, 1e-3)[1] > 40.0
+    for turned in (diagram, diagram.ToAutoDiffXd()):
+        for roll, yaw in ((0.0, np.pi), (0.0, 0.5 * np.pi), (0.3, 0.0)):
+            with pytest.raises(
+                InputError, match=r"foot_ground_contact: body 1 .* out of the x"
+            ):
+                reaction(turned, roll, 0.0, yaw)

@@ -101,6 +101,10 @@ def test_spheres_are_found_again(planar):
     rows = found.table()
     np.testing.assert_allclose(rows["force_n"], found.samples.force)
     assert ("cop_y_m" in rows) == (not planar)
+    assert repr(found) == (
+        "Reduction(3 spheres; force off by 0.0 %, centre of pressure by 0.0 mm "
+        "RMS)"
+    )
 
 
 @pytest.mark.slow

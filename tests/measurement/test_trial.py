@@ -279,6 +279,16 @@ def test_shapes_are_checked(trial, changes, words):
             {"provenance": {"shifted_s": {"encoders": None}}},
             "provenance.shifted_s.encoders must be a number",
         ),
+        ({"provenance": {"clocks": ["encoders"]}}, "clocks is .*; give a dict"),
+        (
+            {
+                "provenance": {
+                    "delays_s": {"encodrs": 0.0},
+                    "clocks": {"encodrs": "to be found"},
+                }
+            },
+            "clocks names 'encodrs'; lags .*; did you mean 'encoders'",
+        ),
         ({"mass_kg": "70"}, "mass_kg must be a number"),
         ({"times": np.linspace(1.0, 0.0, 51)}, "times do not increase"),
         ({"times": np.full(51, np.nan)}, "times do not increase"),

@@ -81,6 +81,45 @@ def test_a_device_of_one_joint(assembly, mass, beside):
     assert model.tree.mass == pytest.approx(model.rigid.tree.mass)
 
 
+def test_a_file_describes_a_model_without_a_study(tmp_path):
+    """Its device's path starts from its folder."""
+    text = (models_path() / "ankle_only.urdf").read_text()
+    (tmp_path / "own.urdf").write_text(text)
+    described = tmp_path / "model.yaml"
+    described.write_text(
+        "device: {file: own.urdf, weld: {shoe: foot}}\n"
+        "cuffs: {calf: {human: shank, device: calf}}\n"
+    )
+    model = nominal_model(described, mass_kg=62.0)
+    assert model.coordinates.device == ("motor",)
+    assert list(model.cuffs) == ["calf"]
+    assert model.tree.mass == pytest.approx(62.0 + 3.6)
+    described.write_text("human: {legs: two}")
+    two = nominal_model(str(described))
+    assert two.coordinates.root[0] == "pelvis_x"
+    assert two.coordinates.device == ()
+    described.write_text("device: {weld: {exo_foot: foot}}")
+    assert len(nominal_model(described).coordinates.device) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("devce: {}", "model.yaml:1: unknown key 'devce'; did you mean"),
+        ("human: {osim: a.osim}", "model.yaml: human.osim scales a person"),
+        (
+            "device: {file: no.urdf, weld: {shoe: foot}}",
+            "no.urdf: cannot be read",
+        ),
+    ],
+)
+def test_a_file_that_describes_no_model_is_refused(tmp_path, text, words):
+    described = tmp_path / "model.yaml"
+    described.write_text(text)
+    with pytest.raises(InputError, match=words):
+        nominal_model(described)
+
+
 # Hinges of the device between those of the person.
 HIP_AND_TOES = replace(HIP, human=Person(toes="hinged"))
 LEFT_ANKLE = Assembly(

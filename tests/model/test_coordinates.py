@@ -102,6 +102,8 @@ def test_unknown_names_are_refused(coupled):
         coupled.joint("toe")
     with pytest.raises(InputError, match="no coordinate 'toe'"):
         coupled.columns(["hip", "toe"])
+    with pytest.raises(InputError, match="did you mean 'exo_hip'"):
+        coupled.index("exo_hpi")
 
 
 def test_what_is_not_in_the_root_is_no_joint(coupled):

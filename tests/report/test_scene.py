@@ -1,10 +1,18 @@
 from ctypes.util import find_library
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from drake_exo.model.description import fit_exoskeleton
+from drake_exo.errors import InputError
+from drake_exo.model.assembly import Assembly, CuffLinks, DeviceFile, Person
+from drake_exo.model.description import (
+    fit_exoskeleton,
+    models_path,
+    nominal_human,
+)
+from drake_exo.model.device_file import with_text
 from drake_exo.model.plant import Model, nominal_model
 from drake_exo.model.segments import scale_human
 from drake_exo.report import scene
@@ -43,6 +51,41 @@ def test_exoskeleton_may_stand_off_the_human():
     assert np.degrees(q[6:] - q[3:6]) == pytest.approx([1.0, -2.0, 3.0])
 
 
+def test_a_device_of_ones_own_stands_upright():
+    """With as many joints as it has."""
+    device = DeviceFile({"shoe": "foot"}, Path("ankle_only.urdf"))
+    cuffs = {"calf": CuffLinks("shank", "calf")}
+    worn = with_text(Assembly(device=device, cuffs=cuffs), models_path())
+    scene = Scene(Model(worn, nominal_human()))
+    q = scene.upright_pose(HALFWAY_DEG)
+    motor = scene.coordinates.index("motor")
+    along = q - scene.upright_pose(HALFWAY_DEG, [-2.0])
+    assert along[motor] == pytest.approx(np.radians(2.0))
+    assert np.delete(along, motor) == pytest.approx(0.0)
+
+
+def test_two_legs_stand_upright():
+    scene = Scene(Model(Assembly(Person("two")), nominal_human()))
+    left, right = (30.0, 50.0, 20.0), (10.0, 10.0, 5.0)
+    q = scene.upright_pose([*left, *right])
+    for end in ("heel", "toe"):
+        found = height_of(scene, q, f"sole_{end}_left")
+        assert found == pytest.approx(0.0, abs=1e-12)
+    assert np.degrees(q[3:]) == pytest.approx([*left, *right])
+
+
+@pytest.mark.parametrize(
+    ("angles", "words"),
+    [
+        (((1.0, 2.0),), "joints_deg has the shape .* each of ankle, knee, hip"),
+        ((HALFWAY_DEG, [1.0]), "offsets_deg .* exo_ankle, exo_knee, exo_hip"),
+    ],
+)
+def test_an_upright_pose_needs_an_angle_for_each_joint(angles, words):
+    with pytest.raises(InputError, match=words):
+        Scene(nominal_model()).upright_pose(*angles)
+
+
 @draws
 @pytest.mark.slow
 def test_picture_shows_a_subject_of_the_right_height():
@@ -61,6 +104,8 @@ def test_picture_shows_a_subject_of_the_right_height():
 def test_pose_of_another_plant_is_refused():
     with pytest.raises(ValueError, match="6 positions"):
         Scene(nominal_model("rigid")).set_pose(np.zeros(9))
+    with pytest.raises(InputError, match="pose holds values that are not"):
+        Scene(nominal_model("rigid")).set_pose(np.full(6, np.nan))
 
 
 def test_a_stool_stands_on_the_floor_under_its_seat():

@@ -22,6 +22,7 @@ from drake_exo.soles.load_blocks import (
     share_double_support,
 )
 from drake_exo.soles.mesh import brick
+from drake_exo.soles.results import sole_samples
 
 GOOD = """
 name: small
@@ -346,3 +347,12 @@ def test_a_notebook_shows_no_arrays():
     assert load == "Load('constant load', 5 samples, up to 400.0 N vertically)"
     assert repr(case.mesh) == mesh
     assert repr(case) == f"Case('example', {mesh}, {load})"
+    samples = sole_samples(case.simulate())
+    assert repr(samples) == "SoleSamples(5 samples, up to 400.0 N)"
+
+
+def test_the_text_of_a_case_is_text():
+    with pytest.raises(
+        InputError, match=r"text is \{'name': 'a'\}; give a str"
+    ):
+        Case.from_text({"name": "a"})
