@@ -58,6 +58,55 @@ def residual(subject, trial):
     return inverse_dynamics(tree, trial.q, trial.v, trial.a, loads)[:, :3]
 
 
+def by_plate(path):
+    """Write each plate of a force file to one of its own, as Motive does."""
+    table = read_table(path)
+    for number in ("1", "2"):
+        own = [i for i, n in enumerate(table.names) if f"_{number}_" in n]
+        names = tuple(table.names[i] for i in own)
+        one = replace(table, names=names, values=table.values[:, own])
+        write_table(path.with_name(f"{path.stem}{number}.mot"), one)
+
+
+def test_each_plate_may_have_a_file_of_its_own(files):
+    folder, study = files
+    (whole, _) = load(study, folder)[1]
+    for name in ("sts", "static"):
+        by_plate(folder / f"{name}.mot")
+    text = (folder / "study.yaml").read_text()
+    # Numbers are places in the list: 1 is the left foot's file here.
+    for name in ("sts", "static"):
+        text = text.replace(
+            f"forces: {name}.mot", f"forces: [{name}2.mot, {name}1.mot]"
+        )
+    text = text.replace("left: 2", "left: 1").replace("right: 1", "right: 2")
+    (folder / "study.yaml").write_text(text)
+    trial = read_study(folder / "study.yaml").trials()[0]
+    np.testing.assert_array_equal(trial.ground.array, whole.ground.array)
+    assert trial.provenance["forces"] == "sts2.mot, sts1.mot"
+
+
+def test_files_of_one_plate_each_must_belong_together(files):
+    folder, _ = files
+    by_plate(folder / "sts.mot")
+    lines = (folder / "sts2.mot").read_text().splitlines()
+    text = (folder / "study.yaml").read_text()
+
+    def refusal(second):
+        made = text.replace("forces: sts.mot", f"forces: [sts1.mot, {second}]")
+        (folder / "study.yaml").write_text(made)
+        with pytest.raises(InputError) as error:
+            read_study(folder / "study.yaml").trials()
+        return str(error.value)
+
+    assert "sts.mot: holds 2 force plates, but each file" in refusal("sts.mot")
+    assert "forces names sts1.mot more than once" in refusal("sts1.mot")
+    half = [*lines[:7], *lines[7::2]]
+    half[2] = f"nRows={len(half) - 7}"
+    (folder / "half.mot").write_text("\n".join(half))
+    assert "half.mot: is not sampled at the times of" in refusal("half.mot")
+
+
 def time_of(trial):
     """In the recording [s]."""
     return trial.start_s + trial.times
