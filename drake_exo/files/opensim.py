@@ -33,6 +33,13 @@ _PLATE_COLUMN = re.compile(
     r"(?:(?P<before>\w+?)_)?ground_(?P<what>force|torque|moment)"
     r"(?:(?:_|(?=\d))(?P<after>\w+?))?_(?P<kind>[vpm])?(?P<axis>[xyz])"
 )
+# FP1_vx, plate1_px, force_1_vx, FP1_moment_x, torque1_x, ...: if a table has
+# none of the above, what ends in a number is a plate.
+_NUMBERED_COLUMN = re.compile(
+    r"(?P<before>[^\W\d]*?)_?(?P<after>\d+)_"
+    r"(?:(?P<what>force|torque|moment)_)?(?P<kind>[vpm])?(?P<axis>[xyz])",
+    re.ASCII,
+)
 
 
 def read_table(path: str | Path) -> Table:
@@ -131,29 +138,21 @@ def read_plates(
 
 
 def has_plates(table: Table) -> bool:
-    """Whether a table has columns of plate forces, such as ground_force_vx."""
-    found = map(_PLATE_COLUMN.fullmatch, table.names)
-    return any(match and match["kind"] == "v" for match in found)
+    """Whether a table has forces and points of plates."""
+    kinds = {kind[0] for _, kind in _plate_columns(table).values()}
+    return {"v", "p"} <= kinds
 
 
 def plates_of(table: Table) -> dict[int, PlateRecording]:
     """Number -> force plate, from the columns of a table; see `read_plates`."""
     columns: dict[str, dict[str, str]] = {}
-    for name in table.names:
-        match = _PLATE_COLUMN.fullmatch(name)
-        if match:
-            label = match["before"] or match["after"] or ""
-            kind = match["kind"] or "m"
-            if match["what"] != "force":
-                kind = "m"
-            first = columns.setdefault(label, {}).setdefault(
-                kind + match["axis"], name
+    for name, (label, kind) in _plate_columns(table).items():
+        first = columns.setdefault(label, {}).setdefault(kind, name)
+        if first != name:
+            raise InputError(
+                f"{table.source}: columns {first!r} and {name!r} are the "
+                "same of one force plate; rename or remove one"
             )
-            if first != name:
-                raise InputError(
-                    f"{table.source}: columns {first!r} and {name!r} are the "
-                    "same of one force plate; rename or remove one"
-                )
     if not columns:
         raise InputError(
             f"{table.source}: has no force plate; name columns like "
@@ -170,6 +169,27 @@ def plates_of(table: Table) -> dict[int, PlateRecording]:
         number: _plate(table, number, label, columns[label])
         for number, label in zip(numbers, labels, strict=True)
     }
+
+
+def _plate_columns(table: Table) -> dict[str, tuple[str, str]]:
+    """Column -> label of its plate, and "vx", ..., "pz" or "mz"."""
+    found = {}
+    for name in table.names:
+        if match := _PLATE_COLUMN.fullmatch(name):
+            kind = "m" if match["what"] != "force" else match["kind"] or "m"
+            label = match["before"] or match["after"] or ""
+            found[name] = label, kind + match["axis"]
+    if found:
+        return found
+    for name in table.names:
+        match = _NUMBERED_COLUMN.fullmatch(name)
+        if not match:
+            continue
+        told = f"{match['before']}_{match['what']}".lower()
+        kind = "m" if re.search("torque|moment", told) else match["kind"]
+        if kind:
+            found[name] = str(int(match["after"])), kind + match["axis"]
+    return found
 
 
 def _plate(table, number, label, columns) -> PlateRecording:

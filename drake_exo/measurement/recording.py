@@ -11,7 +11,12 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.c3d import read_c3d
-from drake_exo.files.opensim import read_plates, read_table, read_trc
+from drake_exo.files.opensim import (
+    plates_of,
+    read_plates,
+    read_table,
+    read_trc,
+)
 from drake_exo.files.optitrack import read_markers_csv, read_plate_csv
 from drake_exo.files.osim import read_osim
 from drake_exo.files.tables import (
@@ -19,6 +24,8 @@ from drake_exo.files.tables import (
     PlateRecording,
     between,
     kind_of,
+    read_csv_table,
+    read_text,
     runs,
     uniform_time,
 )
@@ -245,6 +252,14 @@ def _plates_of_c3d(path: Path):
     return file.plate_time, file.plates
 
 
+def _plates_of_csv(path: Path):
+    # A table's first column is its time; Motive's plates begin otherwise.
+    if read_text(path).lstrip()[:5].strip('"').lower().startswith("time"):
+        table = read_csv_table(path)
+        return table.time, plates_of(table)
+    return read_plate_csv(path)
+
+
 _MARKER_READERS = {
     ".trc": read_trc,
     ".c3d": _markers_of_c3d,
@@ -254,7 +269,7 @@ _FORCE_READERS = {
     ".mot": read_plates,
     ".sto": read_plates,
     ".c3d": _plates_of_c3d,
-    ".csv": read_plate_csv,
+    ".csv": _plates_of_csv,
 }
 
 
@@ -364,7 +379,7 @@ def read_foot_forces(
 ) -> FootForces:
     """Read the plates under feet and chair from force files, unfiltered.
 
-    Files are .mot, .sto, .c3d and Motive's .csv.
+    Files are .mot, .sto, .c3d, and .csv: a table, or Motive's.
 
     Args:
         paths: the file, or files of one plate each.

@@ -15,6 +15,7 @@ from synthetic_recording import (
 from drake_exo.calibration.clocks import Clock, retimed
 from drake_exo.errors import InputError
 from drake_exo.files.c3d import write_c3d
+from drake_exo.files.inspection import inspect
 from drake_exo.files.opensim import (
     read_plates,
     read_table,
@@ -22,7 +23,7 @@ from drake_exo.files.opensim import (
     write_table,
     write_trc,
 )
-from drake_exo.files.tables import MarkerData, Table
+from drake_exo.files.tables import MarkerData, Table, write_csv_table
 from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.processing import Recordings
 from drake_exo.measurement.settings import Axes, Scaling
@@ -84,6 +85,24 @@ def test_each_plate_may_have_a_file_of_its_own(files):
     trial = read_study(folder / "study.yaml").trials()[0]
     np.testing.assert_array_equal(trial.ground.array, whole.ground.array)
     assert trial.provenance["forces"] == "sts2.mot, sts1.mot"
+
+
+def test_plates_may_be_columns_of_a_csv_table(files):
+    folder, study = files
+    (whole, _) = load(study, folder)[1]
+    table = read_table(folder / "sts.mot")
+    names = tuple(n.replace("ground_force_", "FP") for n in table.names)
+    unit = {"v": "N", "p": "mm", "m": "Nm"}
+    units = [unit[name.split("_")[1][0]] for name in names]
+    path = folder / "sts.csv"
+    write_csv_table(path, replace(table, names=names), units)
+    assert "plate 2: loaded 100 %" in inspect(path)
+    text = (folder / "study.yaml").read_text().replace("sts.mot", "sts.csv")
+    (folder / "study.yaml").write_text(text)
+    trial = read_study(folder / "study.yaml").trials()[0]
+    np.testing.assert_allclose(
+        trial.ground.array, whole.ground.array, atol=1e-5
+    )
 
 
 def test_files_of_one_plate_each_must_belong_together(files):
