@@ -109,7 +109,11 @@ def read_trc(path: str | Path) -> MarkerData:
             rows.append((i + 1, _fields(lines[i], width)))
     values = number_rows(path, rows, width)
     announced = header.get("numframes")
-    if not _is_cut_out(announced, values[:, 0]):
+    is_whole = lines[-1].endswith(("\n", "\r"))
+    if not (
+        _is_cut_out(announced, values[:, 0])
+        or _is_miscounted(announced, len(rows), is_whole)
+    ):
         check_count(path, announced, len(rows), "NumFrames", "frames")
     check_increasing(str(path), values[:, 1])
     return MarkerData(
@@ -311,6 +315,17 @@ def _is_cut_out(announced: str | None, frames: np.ndarray) -> bool:
     if announced is None or not announced.isdecimal():
         return False
     return len(frames) > 0 and frames[0] > 1 and frames[-1] < int(announced)
+
+
+def _is_miscounted(announced: str | None, count: int, is_whole: bool) -> bool:
+    """Whether a header is off by one, as of exporters that count from zero.
+
+    Nothing is lost if there is one row more. One row fewer is so little that a
+    truncated file, which seldom ends with a whole line, would lose more.
+    """
+    if announced is None or not announced.isdecimal():
+        return False
+    return count - int(announced) in ((-1, 1) if is_whole else (1,))
 
 
 def _cells(line: str, width: int) -> list[str]:

@@ -375,6 +375,21 @@ def test_refuses_markers(tmp_path, markers, change, words):
     assert words in refusal(read_trc, path)
 
 
+def test_a_header_may_count_one_frame_too_many_or_too_few(tmp_path, markers):
+    path = tmp_path / "m.trc"
+    write_trc(path, markers)
+    text = path.read_text()
+    for told in (24, 26):
+        path.write_text(text.replace("\t25\t3\t", f"\t{told}\t3\t"))
+        assert len(read_trc(path).time) == 25
+    for told in (23, 27):
+        path.write_text(text.replace("\t25\t3\t", f"\t{told}\t3\t"))
+        assert f"NumFrames={told}, but there are 25" in refusal(read_trc, path)
+    # A last line without its end may have been cut.
+    path.write_text(text.replace("\t25\t3\t", "\t26\t3\t").rstrip())
+    assert "truncated" in refusal(read_trc, path)
+
+
 def test_marker_units_come_from_the_header(tmp_path, markers):
     path = tmp_path / "m.trc"
     write_trc(path, markers)
