@@ -69,10 +69,10 @@ def read_table(path: str | Path) -> Table:
     for key in ("nColumns", "datacolumns"):
         announced = header.get(key.lower())
         check_count(path, announced, len(names), key, "column names")
-    rows = [(i + 1, _cells(lines[i], len(names))) for i in rest[1:]]
+    rows = ((i + 1, _cells(lines[i], len(names))) for i in rest[1:])
     values = number_rows(path, rows, len(names))
     for key in ("nRows", "datarows"):
-        check_count(path, header.get(key.lower()), len(rows), key, "rows")
+        check_count(path, header.get(key.lower()), len(values), key, "rows")
     check_increasing(str(path), values[:, 0])
     return Table(
         time=values[:, 0],
@@ -103,24 +103,25 @@ def read_trc(path: str | Path) -> MarkerData:
         path, header.get("nummarkers"), len(names), "NumMarkers", "marker names"
     )
     width = 2 + 3 * len(names)
-    rows = []
-    for i in range(5, len(lines)):
-        if lines[i].strip():
-            rows.append((i + 1, _fields(lines[i], width)))
+    rows = (
+        (i, _fields(line, width))
+        for i, line in enumerate(lines[5:], 6)
+        if line.strip()
+    )
     values = number_rows(path, rows, width)
     announced = header.get("numframes")
     is_whole = lines[-1].endswith(("\n", "\r"))
     if not (
         _is_cut_out(announced, values[:, 0])
-        or _is_miscounted(announced, len(rows), is_whole)
+        or _is_miscounted(announced, len(values), is_whole)
     ):
-        check_count(path, announced, len(rows), "NumFrames", "frames")
+        check_count(path, announced, len(values), "NumFrames", "frames")
     check_increasing(str(path), values[:, 1])
     return MarkerData(
         time=values[:, 1],
         names=tuple(names),
         positions=scale
-        * without_zeros(values[:, 2:].reshape(len(rows), -1, 3)),
+        * without_zeros(values[:, 2:].reshape(len(values), -1, 3)),
         rate_hz=frame_rate(path, header.get("datarate"), "DataRate"),
         source=str(path),
     )
