@@ -54,8 +54,9 @@ def motive(path):
 def test_long_reading_shows_progress(
     tmp_path, capsys, monkeypatch, ending, write, read, words
 ):
-    path = tmp_path / f"long.{ending}"
-    write(path)
+    made, path = tmp_path / f"made.{ending}", tmp_path / f"long.{ending}"
+    write(made)
+    made.rename(path)
     # A C3D file is decoded by a process, which is too quick for a short one.
     slow = tmp_path / "slow_child.py"
     slow.write_text(
