@@ -24,6 +24,7 @@ from drake_exo.calibration.settings import (
     CuffFreedom,
     DesignLimits,
     DesignSettings,
+    DriveLimits,
     Population,
     PredictionSettings,
     Solver,
@@ -68,6 +69,19 @@ def study():
 @pytest.fixture(scope="module")
 def found(study):
     return dx.design(*study, parts=True)
+
+
+def test_settings_that_a_model_cannot_have_are_told_with_their_file():
+    made = dx.synthetic.rises_in_device(1, nodes_per_second=20.0)
+    drives = {"exo_neck": DriveLimits(torque_nm=40.0)}
+    wrong = DesignSettings(limits=DesignLimits(drives=drives))
+    own = dx.Study(made.model, made.trials, design=wrong)
+    told = "design.limits.drives.exo_neck: the device has no such joint"
+    with pytest.raises(InputError, match=f"^{told}"):
+        dx.design(own, made.contact)
+    own.path = "wearer.yaml"
+    with pytest.raises(InputError, match=f"^wearer.yaml: {told}"):
+        dx.design(own, made.contact)
 
 
 @pytest.mark.slow
