@@ -894,3 +894,28 @@ def test_a_wearer_given_twice_is_one_sentence(capsys, tmp_path):
     twice = [str(tmp_path / "a.yaml"), f"{tmp_path}/./a.yaml"]
     assert main(["design", *twice, "--out", str(tmp_path / "out")]) == 2
     assert "give each wearer once" in capsys.readouterr().err
+
+
+def test_a_calibration_is_compared_with_what_it_is_to_design(
+    monkeypatch, capsys, tmp_path
+):
+    """As before a prediction: their filter and the plates' lag may differ."""
+    asked = []
+
+    def calibrated(folder, accepted, trials=()):
+        asked.append(trials)
+        raise InputError("the calibration is judged here")
+
+    study = SimpleNamespace(
+        name="anna",
+        prediction=PredictionSettings(),
+        gate=lambda *_: (),
+        trials=lambda use: (use,),
+        calibrated=calibrated,
+    )
+    monkeypatch.setattr("drake_exo.cli.design.read_study", lambda *_: study)
+    out, made = str(tmp_path / "out"), str(tmp_path)
+    command = ["design", "a.yaml", "--calibration", made, "--out", out]
+    assert main(command) == 2
+    assert "is judged here" in capsys.readouterr().err
+    assert asked == [("prediction",)]
