@@ -170,18 +170,24 @@ _JOINTS = (Trial.coordinate, "°"), (Trial.velocity, "°/s")
 
 
 def _joint_rows(trial: Trial, read, unit: str) -> list[tuple]:
-    """Rows of all joints; a device's is in that of the human's beside it."""
+    """Rows of all joints; a device's is in that of the human's beside it.
+
+    There it has the human's sense, in which a device may count its own angle
+    backwards.
+    """
     names = trial.coordinates
     beside = {names.follows(name): name for name in names.device}
     beside.pop(None, None)  # of a joint that no human joint moves
     alone = [name for name in names.device if name not in beside.values()]
     rows = []
     for joint in (*names.human, *alone):
-        signals = [
-            lambda t, name=name: np.rad2deg(read(t, name))
-            for name in (joint, beside.get(joint))
-            if name
-        ]
+        signals = [lambda t, name=joint: np.rad2deg(read(t, name))]
+        if own := beside.get(joint):
+            turns = names.turned_by[names.device.index(own)]
+            sense = -1.0 if turns[names.human.index(joint)] < 0.0 else 1.0
+            signals.append(
+                lambda t, name=own, s=sense: s * np.rad2deg(read(t, name))
+            )
         rows.append((f"{_joint_name(names, joint)} [{unit}]", *signals))
     return rows
 
