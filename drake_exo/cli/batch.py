@@ -11,6 +11,7 @@ from pathlib import Path
 from drake_exo.batch.results import is_told, write_results
 from drake_exo.batch.run import Batch, run_batch
 from drake_exo.cli import positive
+from drake_exo.files.output import read_json, stored
 from drake_exo.jobs.engine import Processes
 
 _PARSE = "drake_exo.cli:parse"
@@ -78,8 +79,28 @@ def text_of(found: Batch) -> str:
         f"{task.name}: {row.verdict}: {row.sentence}" for task, row in found.bad
     ]
     good = len(found.tasks) - len(lines)
+    lines += _unmatched(found)
     lines.append(
         f"{good} of {len(found.tasks)} tasks hold, {found.fresh} run now; "
         f"results in {found.out}"
     )
     return "\n".join(lines)
+
+
+def _unmatched(found: Batch) -> list[str]:
+    """A note for each step and --accept that no task of the step knows."""
+    told: dict[tuple[str, str], list[bool]] = {}
+    for task in found.tasks:
+        path = found.out / task.name / "summary.json"
+        is_done = found.outcomes[task.name].code in (0, 3)
+        if not task.options or not is_done or not path.is_file():
+            continue
+        verdict = stored(read_json(path, "run the batch again"), path)
+        for word in verdict.accepted if verdict else ():
+            is_unknown = word in verdict.unmatched
+            told.setdefault((task.step, word), []).append(is_unknown)
+    return [
+        f"note: options of {step}: --accept {word}: no check has that name"
+        for (step, word), unknown in told.items()
+        if all(unknown)
+    ]
