@@ -623,7 +623,8 @@ def standing_checks(
         "standing",
         f"{standing.markers}: the hips are {leg:.2f} m above the floor, which "
         f"is {100 * ratio:.0f} % of what is usual for subject.height_m; check "
-        "the height, or markers.joint_centres",
+        "the height, markers.joint_centres, and that the floor is at z = 0 in "
+        f"the files (ankles are {1e3 * said['ankle_height_m']:.0f} mm above)",
         level="note",
     )
     if "standing_cop_x_m" in said:
