@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
             write_results(found)
 
     found = run_batch(args.batch, args.out, open_pool, _PARSE, write)
-    print(text_of(found))
+    print("\n".join([*unmatched(found), text_of(found)]))
     return found.exit_code
 
 
@@ -79,7 +79,6 @@ def text_of(found: Batch) -> str:
         f"{task.name}: {row.verdict}: {row.sentence}" for task, row in found.bad
     ]
     good = len(found.tasks) - len(lines)
-    lines += _unmatched(found)
     lines.append(
         f"{good} of {len(found.tasks)} tasks hold, {found.fresh} run now; "
         f"results in {found.out}"
@@ -87,7 +86,7 @@ def text_of(found: Batch) -> str:
     return "\n".join(lines)
 
 
-def _unmatched(found: Batch) -> list[str]:
+def unmatched(found: Batch) -> list[str]:
     """A note for each step and --accept that no task of the step knows."""
     told: dict[tuple[str, str], list[bool]] = {}
     for task in found.tasks:
