@@ -181,13 +181,15 @@ def _joint_rows(trial: Trial, read, unit: str) -> list[tuple]:
     alone = [name for name in names.device if name not in beside.values()]
     rows = []
     for joint in (*names.human, *alone):
-        signals = [lambda t, name=joint: np.rad2deg(read(t, name))]
+        drawn = {joint: 1.0}
         if own := beside.get(joint):
             turns = names.turned_by[names.device.index(own)]
-            sense = -1.0 if turns[names.human.index(joint)] < 0.0 else 1.0
-            signals.append(
-                lambda t, name=own, s=sense: s * np.rad2deg(read(t, name))
-            )
+            is_back = turns[names.human.index(joint)] < 0.0
+            drawn[own] = -1.0 if is_back else 1.0
+        signals = [
+            lambda t, name=name, sense=sense: sense * np.rad2deg(read(t, name))
+            for name, sense in drawn.items()
+        ]
         rows.append((f"{_joint_name(names, joint)} [{unit}]", *signals))
     return rows
 
