@@ -115,6 +115,18 @@ def design(
     names = _names(studies)
     if len(names) > 1:  # files are called after them
         _check_labels(names, studies)
+    with studies[0].named():
+        return _designed(studies, contacts, names, settings, parts)
+
+
+def _designed(
+    studies: Sequence[Study],
+    contacts: Sequence[Calibration | ContactModel],
+    names: Sequence[str],
+    settings: DesignSettings,
+    parts: bool,
+) -> Designed:
+    """See `design`."""
     worn = [
         Wearer(
             name,

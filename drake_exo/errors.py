@@ -9,6 +9,7 @@ from numbers import Integral
 from pathlib import Path
 
 _LONGEST = 120  # characters kept of another library's message
+_USUAL = bytes(range(0x20, 0x7F))  # printable ASCII
 _BOUNDS = (
     ("above", lambda value, bound: value > bound, "above"),
     ("below", lambda value, bound: value < bound, "below"),
@@ -191,9 +192,12 @@ def nearest(name: str | None, names: Iterable[str]) -> str:
 
 def printable(text: str, keep: str = "") -> str:
     """The text with question marks for characters that cannot be printed."""
-    # Over the set of its characters: recordings are long.
-    bad = (c for c in set(text) if not c.isprintable() and c not in keep)
-    return text.translate(dict.fromkeys(map(ord, bad), "?"))
+    # Over the set of its characters, without the usual: recordings are long.
+    unusual = text
+    if text.isascii():
+        unusual = text.encode("ascii").translate(None, _USUAL).decode("ascii")
+    bad = [c for c in set(unusual) if not c.isprintable() and c not in keep]
+    return text.translate(dict.fromkeys(map(ord, bad), "?")) if bad else text
 
 
 def first_line(text: str) -> str:

@@ -8,7 +8,8 @@ and write results. Of the layers below nothing imports this module.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from copy import copy, deepcopy
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, partial
@@ -295,6 +296,18 @@ class Study:
             return None
         return self.sole.ground(self.model, self.foot_ground.sole_at_m)
 
+    @contextmanager
+    def named(self) -> Iterator[None]:
+        """Put the study file's name before errors that begin with its keys."""
+        try:
+            yield
+        except InputError as error:
+            key = str(error).partition(".")[0]
+            path = getattr(self, "path", None)
+            if path and key in schema.keys(StudyFile):
+                raise InputError(f"{path}: {error}") from error
+            raise
+
     def plausibility(self, use: Use | None = None) -> tuple[Check, ...]:
         """Checks whether trials are plausible for what they are taken for.
 
@@ -432,7 +445,8 @@ class RecordedStudy(Study):
     @cached_property
     def subject(self) -> SubjectModel:
         """The subject, fitted to the standing trial."""
-        return fit_subject(self.file, self.root)
+        with self.named():
+            return fit_subject(self.file, self.root)
 
     @property
     def model(self) -> Model:

@@ -24,6 +24,7 @@ from drake_exo.calibration.settings import (
     CuffFreedom,
     DesignLimits,
     DesignSettings,
+    DriveLimits,
     Population,
     PredictionSettings,
     Solver,
@@ -68,6 +69,19 @@ def study():
 @pytest.fixture(scope="module")
 def found(study):
     return dx.design(*study, parts=True)
+
+
+def test_settings_that_a_model_cannot_have_are_told_with_their_file():
+    made = dx.synthetic.rises_in_device(1, nodes_per_second=20.0)
+    drives = {"exo_neck": DriveLimits(torque_nm=40.0)}
+    wrong = DesignSettings(limits=DesignLimits(drives=drives))
+    own = dx.Study(made.model, made.trials, design=wrong)
+    told = "design.limits.drives.exo_neck: the device has no such joint"
+    with pytest.raises(InputError, match=f"^{told}"):
+        dx.design(own, made.contact)
+    own.path = "wearer.yaml"
+    with pytest.raises(InputError, match=f"^wearer.yaml: {told}"):
+        dx.design(own, made.contact)
 
 
 @pytest.mark.slow
@@ -880,3 +894,28 @@ def test_a_wearer_given_twice_is_one_sentence(capsys, tmp_path):
     twice = [str(tmp_path / "a.yaml"), f"{tmp_path}/./a.yaml"]
     assert main(["design", *twice, "--out", str(tmp_path / "out")]) == 2
     assert "give each wearer once" in capsys.readouterr().err
+
+
+def test_a_calibration_is_compared_with_what_it_is_to_design(
+    monkeypatch, capsys, tmp_path
+):
+    """As before a prediction: their filter and the plates' lag may differ."""
+    asked = []
+
+    def calibrated(folder, accepted, trials=()):
+        asked.append(trials)
+        raise InputError("the calibration is judged here")
+
+    study = SimpleNamespace(
+        name="anna",
+        prediction=PredictionSettings(),
+        gate=lambda *_: (),
+        trials=lambda use: (use,),
+        calibrated=calibrated,
+    )
+    monkeypatch.setattr("drake_exo.cli.design.read_study", lambda *_: study)
+    out, made = str(tmp_path / "out"), str(tmp_path)
+    command = ["design", "a.yaml", "--calibration", made, "--out", out]
+    assert main(command) == 2
+    assert "is judged here" in capsys.readouterr().err
+    assert asked == [("prediction",)]

@@ -13,6 +13,7 @@ from drake_exo.batch.results import is_told, write_results
 from drake_exo.batch.run import Batch, run_batch
 from drake_exo.cli import positive
 from drake_exo.errors import InputError
+from drake_exo.files.output import read_json, stored
 from drake_exo.jobs.engine import Processes
 
 _PARSE = "drake_exo.cli:parse"
@@ -74,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
             write_results(found)
 
     found = run_batch(args.batch, args.out, open_pool, _PARSE, write)
-    print(text_of(found))
+    print("\n".join([*unmatched(found), text_of(found)]))
     return found.exit_code
 
 
@@ -89,3 +90,22 @@ def text_of(found: Batch) -> str:
         f"results in {found.out}"
     )
     return "\n".join(lines)
+
+
+def unmatched(found: Batch) -> list[str]:
+    """A note for each step and --accept that no task of the step knows."""
+    told: dict[tuple[str, str], list[bool]] = {}
+    for task in found.tasks:
+        path = found.out / task.name / "summary.json"
+        is_done = found.outcomes[task.name].code in (0, 3)
+        if not task.options or not is_done or not path.is_file():
+            continue
+        verdict = stored(read_json(path, "run the batch again"), path)
+        for word in verdict.accepted if verdict else ():
+            is_unknown = word in verdict.unmatched
+            told.setdefault((task.step, word), []).append(is_unknown)
+    return [
+        f"note: options of {step}: --accept {word}: no check has that name"
+        for (step, word), unknown in told.items()
+        if all(unknown)
+    ]

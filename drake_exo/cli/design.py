@@ -98,7 +98,9 @@ def run(args: argparse.Namespace) -> int:
         checks += study.gate(use, args.accept)
         checks += without_effect(study)
     for study, folder in zip(studies, args.calibration, strict=False):
-        contact, made_of = study.calibrated(folder, args.accept)
+        contact, made_of = study.calibrated(
+            folder, args.accept, study.trials("prediction")
+        )
         contacts.append(contact)
         checks += made_of
     laboratory = None

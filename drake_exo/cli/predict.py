@@ -301,8 +301,9 @@ def write_predictions(
     write_json(out / "summary.json", summary)
     for prediction in found:
         folder = out / f"unfinished_{prediction.name}"
-        if prediction.success and folder.is_dir():
-            forget(folder)  # not before: --resume goes on from there
+        # Not before, nor if stopped: --resume goes on from there.
+        if prediction.success and folder.is_dir() and not stopped:
+            forget(folder)
             folder.rmdir()
     print(verdict.text())
     if refused is not None:

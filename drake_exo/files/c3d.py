@@ -33,6 +33,7 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError, first_line, printable
+from drake_exo.files.output import Progress
 from drake_exo.files.tables import (
     LENGTHS,
     MarkerData,
@@ -155,16 +156,11 @@ def decode(path: Path) -> C3dContents:
             damaged, or has more than 65535 frames that ezc3d cannot read.
     """
     is_long = _check_complete(path)
-    done = subprocess.run(
-        [sys.executable, str(_CHILD), str(path.absolute())],
-        capture_output=True,
-        check=False,
-    )
-    if done.returncode:
-        said = done.stderr.decode("utf-8", "replace")
-        what = first_line(said) if done.returncode == 1 else ""
+    code, out, said = _run_child(path)
+    if code:
+        what = first_line(said.decode("utf-8", "replace")) if code == 1 else ""
         raise _damaged(path, what or "its parts contradict each other")
-    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as found:
+    with np.load(io.BytesIO(out), allow_pickle=False) as found:
         arrays = {name: found[name] for name in found.files}
     for array in arrays.values():
         array.flags.writeable = False
@@ -191,6 +187,23 @@ def decode(path: Path) -> C3dContents:
         arrays["analogs"],
         float(analog_rate),
     )
+
+
+def _run_child(path: Path) -> tuple[int, bytes, bytes]:
+    """Exit code and outputs of the process; prints progress if it is long."""
+    progress = Progress(f"reading {path.name}")
+    command = [sys.executable, str(_CHILD), str(path.absolute())]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe) as child:
+        while True:
+            try:
+                out, said = child.communicate(timeout=0.1)
+                return child.returncode, out, said
+            except subprocess.TimeoutExpired:
+                progress.update("decoding")
+            except BaseException:
+                child.kill()
+                raise
 
 
 _BLOCK = 512  # bytes

@@ -106,7 +106,11 @@ def _of_csv(path: Path) -> Contents:
     if ";" in cells[0] and len(cells) > 1:
         whole = {"cells": (1, len(cells) - 1)}
         return _pressure(read_pressure_csv(path, whole))
-    return _channels(read_csv_table(path), "in SI units, angles in radians")
+    table = read_csv_table(path)
+    found = {}
+    if has_plates(table):
+        found = _plates(table.time, plates_of(table))
+    return found | _channels(table, "in SI units, angles in radians")
 
 
 def _places(path: Path) -> Contents:

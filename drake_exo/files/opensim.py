@@ -33,6 +33,13 @@ _PLATE_COLUMN = re.compile(
     r"(?:(?P<before>\w+?)_)?ground_(?P<what>force|torque|moment)"
     r"(?:(?:_|(?=\d))(?P<after>\w+?))?_(?P<kind>[vpm])?(?P<axis>[xyz])"
 )
+# FP1_vx, plate1_px, force_1_vx, FP1_moment_x, torque1_x, ...: if a table has
+# none of the above, what ends in a number is a plate.
+_NUMBERED_COLUMN = re.compile(
+    r"(?P<before>[^\W\d]*?)_?(?P<after>\d+)_"
+    r"(?:(?P<what>force|torque|moment)_)?(?P<kind>[vpm])?(?P<axis>[xyz])",
+    re.ASCII,
+)
 
 
 def read_table(path: str | Path) -> Table:
@@ -62,10 +69,10 @@ def read_table(path: str | Path) -> Table:
     for key in ("nColumns", "datacolumns"):
         announced = header.get(key.lower())
         check_count(path, announced, len(names), key, "column names")
-    rows = [(i + 1, _cells(lines[i], len(names))) for i in rest[1:]]
+    rows = ((i + 1, _cells(lines[i], len(names))) for i in rest[1:])
     values = number_rows(path, rows, len(names))
     for key in ("nRows", "datarows"):
-        check_count(path, header.get(key.lower()), len(rows), key, "rows")
+        check_count(path, header.get(key.lower()), len(values), key, "rows")
     check_increasing(str(path), values[:, 0])
     return Table(
         time=values[:, 0],
@@ -96,20 +103,25 @@ def read_trc(path: str | Path) -> MarkerData:
         path, header.get("nummarkers"), len(names), "NumMarkers", "marker names"
     )
     width = 2 + 3 * len(names)
-    rows = []
-    for i in range(5, len(lines)):
-        if lines[i].strip():
-            rows.append((i + 1, _fields(lines[i], width)))
+    rows = (
+        (i, _fields(line, width))
+        for i, line in enumerate(lines[5:], 6)
+        if line.strip()
+    )
     values = number_rows(path, rows, width)
     announced = header.get("numframes")
-    if not _is_cut_out(announced, values[:, 0]):
-        check_count(path, announced, len(rows), "NumFrames", "frames")
+    is_whole = lines[-1].endswith(("\n", "\r"))
+    if not (
+        _is_cut_out(announced, values[:, 0])
+        or _is_miscounted(announced, len(values), is_whole)
+    ):
+        check_count(path, announced, len(values), "NumFrames", "frames")
     check_increasing(str(path), values[:, 1])
     return MarkerData(
         time=values[:, 1],
         names=tuple(names),
         positions=scale
-        * without_zeros(values[:, 2:].reshape(len(rows), -1, 3)),
+        * without_zeros(values[:, 2:].reshape(len(values), -1, 3)),
         rate_hz=frame_rate(path, header.get("datarate"), "DataRate"),
         source=str(path),
     )
@@ -131,29 +143,21 @@ def read_plates(
 
 
 def has_plates(table: Table) -> bool:
-    """Whether a table has columns of plate forces, such as ground_force_vx."""
-    found = map(_PLATE_COLUMN.fullmatch, table.names)
-    return any(match and match["kind"] == "v" for match in found)
+    """Whether a table has forces and points of plates."""
+    kinds = {kind[0] for _, kind in _plate_columns(table).values()}
+    return {"v", "p"} <= kinds
 
 
 def plates_of(table: Table) -> dict[int, PlateRecording]:
     """Number -> force plate, from the columns of a table; see `read_plates`."""
     columns: dict[str, dict[str, str]] = {}
-    for name in table.names:
-        match = _PLATE_COLUMN.fullmatch(name)
-        if match:
-            label = match["before"] or match["after"] or ""
-            kind = match["kind"] or "m"
-            if match["what"] != "force":
-                kind = "m"
-            first = columns.setdefault(label, {}).setdefault(
-                kind + match["axis"], name
+    for name, (label, kind) in _plate_columns(table).items():
+        first = columns.setdefault(label, {}).setdefault(kind, name)
+        if first != name:
+            raise InputError(
+                f"{table.source}: columns {first!r} and {name!r} are the "
+                "same of one force plate; rename or remove one"
             )
-            if first != name:
-                raise InputError(
-                    f"{table.source}: columns {first!r} and {name!r} are the "
-                    "same of one force plate; rename or remove one"
-                )
     if not columns:
         raise InputError(
             f"{table.source}: has no force plate; name columns like "
@@ -170,6 +174,27 @@ def plates_of(table: Table) -> dict[int, PlateRecording]:
         number: _plate(table, number, label, columns[label])
         for number, label in zip(numbers, labels, strict=True)
     }
+
+
+def _plate_columns(table: Table) -> dict[str, tuple[str, str]]:
+    """Column -> label of its plate, and "vx", ..., "pz" or "mz"."""
+    found = {}
+    for name in table.names:
+        if match := _PLATE_COLUMN.fullmatch(name):
+            kind = "m" if match["what"] != "force" else match["kind"] or "m"
+            label = match["before"] or match["after"] or ""
+            found[name] = label, kind + match["axis"]
+    if found:
+        return found
+    for name in table.names:
+        match = _NUMBERED_COLUMN.fullmatch(name)
+        if not match:
+            continue
+        told = f"{match['before']}_{match['what']}".lower()
+        kind = "m" if re.search("torque|moment", told) else match["kind"]
+        if kind:
+            found[name] = str(int(match["after"])), kind + match["axis"]
+    return found
 
 
 def _plate(table, number, label, columns) -> PlateRecording:
@@ -291,6 +316,17 @@ def _is_cut_out(announced: str | None, frames: np.ndarray) -> bool:
     if announced is None or not announced.isdecimal():
         return False
     return len(frames) > 0 and frames[0] > 1 and frames[-1] < int(announced)
+
+
+def _is_miscounted(announced: str | None, count: int, is_whole: bool) -> bool:
+    """Whether a header is off by one, as of exporters that count from zero.
+
+    Nothing is lost if there is one row more. One row fewer is so little that a
+    truncated file, which seldom ends with a whole line, would lose more.
+    """
+    if announced is None or not announced.isdecimal():
+        return False
+    return count - int(announced) in ((-1, 1) if is_whole else (1,))
 
 
 def _cells(line: str, width: int) -> list[str]:

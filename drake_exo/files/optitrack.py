@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError
+from drake_exo.files.output import Progress
 from drake_exo.files.tables import (
     LENGTH_WORDS,
     MarkerData,
@@ -63,10 +64,10 @@ def read_markers_csv(path: str | Path) -> MarkerData:
         )
     # Other columns may hold text: Motive's TimeCode.
     used = {1} | {i for found in ordered for _, i in found}
-    body = [
+    body = (
         (line, [cell if i in used else "" for i, cell in enumerate(cells)])
         for line, cells in numbered[start + 1 :]
-    ]
+    )
     values = number_rows(path, body, len(rows[start]))
     check_increasing(str(path), values[:, 1])
     positions = np.stack(
@@ -173,10 +174,12 @@ def _sample_times(
 def _rows(path) -> list[tuple[int, list[str]]]:
     """Line number and cells of each line that is not blank."""
     reader = csv.reader(read_text(path).splitlines())
+    progress, found = Progress(f"reading {Path(path).name}"), []
     try:
-        found = [
-            (reader.line_num, row) for row in reader if any(map(str.strip, row))
-        ]
+        for row in reader:
+            if any(map(str.strip, row)):
+                found.append((reader.line_num, row))
+            progress.update(f"{reader.line_num} lines")
     except csv.Error as error:
         raise InputError(
             f"{path}:{reader.line_num}: holds no cells between commas "

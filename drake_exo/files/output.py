@@ -590,6 +590,16 @@ class Verdict:
         """Warning line for figures, tables and pages; empty if all holds."""
         return mark_of(self.word, [_short(c) for c in self.failing])
 
+    @property
+    def unmatched(self) -> tuple[str, ...]:
+        """What is accepted although no check has that name."""
+        names = [c.name for c in self.checks]
+        return tuple(
+            word
+            for word in self.accepted
+            if not any(is_accepted(name, [word]) for name in names)
+        )
+
     def summary(self) -> dict[str, Any]:
         """The keys of summary.json: checks, verdict and accepted."""
         return {
@@ -615,11 +625,9 @@ class Verdict:
             accepted = is_accepted(name, self.accepted)
             line = f"  {'accepted' if accepted else 'FAILS'}  {told}"
             lines.append(f"{_RED}{line}{_PLAIN}" if color else line)
-        names = [c.name for c in self.checks]
         lines += [
             f"  note  --accept {word}: no check has that name"
-            for word in self.accepted
-            if not any(is_accepted(name, [word]) for name in names)
+            for word in self.unmatched
         ]
         if self.refused and self.word != UNSOLVED:
             names = dict.fromkeys(c.name for c in self.refused)

@@ -14,6 +14,7 @@ import hashlib
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
@@ -24,6 +25,7 @@ from drake_exo.errors import InputError, nearest, path_of, printable
 Reader = TypeVar("Reader", bound=Callable)
 # Larger than any measurement in any unit, but squares do not overflow.
 _LARGEST = 1e30
+_BLOCK = 200  # rows made numbers at a time
 _SHOWN = 40  # characters of a cell in a message
 # Below this vertical force the centre of pressure is undefined [N].
 COP_THRESHOLD_N = 20.0
@@ -116,11 +118,13 @@ def shown(cell: str) -> str:
 def number_rows(
     path: str | Path, rows: Iterable[tuple[int, list[str]]], width: int
 ) -> np.ndarray:
-    """Rows of text cells as numbers (len(rows), width); empty cells are NaN.
+    """Rows of text cells as numbers (N, width); empty cells are NaN.
+
+    Prints progress if that takes long.
 
     Args:
         path: for messages.
-        rows: line number and cells of each row.
+        rows: line number and cells of each of the N rows.
         width: number of cells that each row must have.
 
     Raises:
@@ -128,9 +132,22 @@ def number_rows(
             cells, a cell that is not a number, or one larger than any
             measurement.
     """
-    rows = list(rows)
-    if not rows:
+    from drake_exo.files.output import Progress  # which reads by this module
+
+    progress = Progress(f"reading {Path(path).name}")
+    rows, blocks, count = iter(rows), [], 0
+    while block := list(islice(rows, _BLOCK)):
+        blocks.append(_numbers(path, block, width))
+        count += len(block)
+        progress.update(f"{count} rows")
+    if not blocks:
         raise InputError(f"{path}: holds no data rows; export it again")
+    return np.concatenate(blocks)
+
+
+def _numbers(
+    path: str | Path, rows: list[tuple[int, list[str]]], width: int
+) -> np.ndarray:
     for line, cells in rows:
         if len(cells) != width:
             raise InputError(
@@ -488,8 +505,8 @@ def read_csv_table(path: str | Path) -> Table:
     if len(rows) < 2:
         raise InputError(f"{path}: holds fewer than two samples")
     names, units = _header(path, comma_separated(path, head))
-    rows = [(i, line.split(",")) for i, line in rows]
-    values = number_rows(path, rows, len(names))
+    cells = ((i, line.split(",")) for i, line in rows)
+    values = number_rows(path, cells, len(names))
     values = values * [UNITS[unit] for unit in units]
     check_increasing(str(path), values[:, 0])
     time, values = values[:, 0], values[:, 1:]

@@ -28,7 +28,12 @@ from drake_exo.measurement.processing import (
     needed_force,
 )
 from drake_exo.measurement.sagittal import centre_of_pressure
-from drake_exo.measurement.settings import Plates, Standing, TrialFiles
+from drake_exo.measurement.settings import (
+    Plates,
+    Standing,
+    TrialFiles,
+    listed,
+)
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import Trial, saw_device
 from drake_exo.model.assembly import SIDES
@@ -593,8 +598,8 @@ def standing_checks(
             "mass",
             100.0 * abs(off),
             "standing",
-            f"{standing.forces}: the plates bear {measured:.3g} kg {beyond}in "
-            f"standing, subject.mass_kg says {stated:.3g} kg; "
+            f"{listed(standing.forces)}: the plates bear {measured:.3g} kg "
+            f"{beyond}in standing, subject.mass_kg says {stated:.3g} kg; "
             + (_unit_of(borne) or "correct the mass or standing.plates")
             + (", or say 'model: human' if no device was worn" * bool(beyond)),
         )
@@ -618,7 +623,8 @@ def standing_checks(
         "standing",
         f"{standing.markers}: the hips are {leg:.2f} m above the floor, which "
         f"is {100 * ratio:.0f} % of what is usual for subject.height_m; check "
-        "the height, or markers.joint_centres",
+        "the height, markers.joint_centres, and that the floor is at z = 0 in "
+        f"the files (ankles are {1e3 * said['ankle_height_m']:.0f} mm above)",
         level="note",
     )
     if "standing_cop_x_m" in said:
@@ -629,10 +635,11 @@ def standing_checks(
             "standing_balance",
             abs(gap),
             "standing",
-            f"{standing.forces}: the centre of pressure is {abs(gap):.2f} m "
-            f"{'in front of' if gap > 0.0 else 'behind'} the centre of mass "
-            "in standing; laboratory.force_axes or marker_axes may be turned "
-            "round, or plates and markers have another origin",
+            f"{listed(standing.forces)}: the centre of pressure is "
+            f"{abs(gap):.2f} m {'in front of' if gap > 0.0 else 'behind'} "
+            "the centre of mass in standing; laboratory.force_axes or "
+            "marker_axes may be turned round, or plates and markers have "
+            "another origin",
         )
 
 

@@ -66,6 +66,7 @@ from drake_exo.measurement.settings import (
     Plates,
     RecordingSettings,
     TrialFiles,
+    listed,
 )
 from drake_exo.measurement.subject import SubjectModel
 from drake_exo.measurement.trial import CuffForce, Trial
@@ -610,7 +611,7 @@ class Recordings:
         """Provenance of a recording: files, filter, and processing."""
         return {
             "markers": files.markers.as_posix(),
-            "forces": files.forces.as_posix(),
+            "forces": listed(files.forces),
             "filter": {"kind": "Butterworth, zero lag", **vars(self._filter)},
             "force_delay_s": recording.delays_s["forces"],
             "delays_s": dict(recording.delays_s),
@@ -671,9 +672,9 @@ def _check_hold(
     both, where = sum(feet[1:], feet[0]), "in the whole recording"
     check_loaded(forces.source, both, weight, where)
     raise InputError(
-        f"{files.forces}: laboratory.hold_cop_below_n is {hold_n:g}, but no "
-        f"foot bears more than {most:.0f} N, so that there is no centre of "
-        "pressure to hold; lower it"
+        f"{listed(files.forces)}: laboratory.hold_cop_below_n is "
+        f"{hold_n:g}, but no foot bears more than {most:.0f} N, so "
+        "that there is no centre of pressure to hold; lower it"
     )
 
 
@@ -851,8 +852,8 @@ def _bounds(files: TrialFiles, recording: Recording):
         raise InputError(
             f"trial {files.name}: {start:g} to {end:g} s reaches beyond the "
             f"recording ({time[0]:g} to {time[-1]:g} s) that both "
-            f"{files.markers} and {files.forces} hold; correct start_s and "
-            "end_s, or export the whole file"
+            f"{files.markers} and {listed(files.forces)} hold; correct "
+            "start_s and end_s, or export the whole file"
         )
     return start, end, how
 
@@ -863,7 +864,7 @@ def _event(files: TrialFiles, recording: Recording, key: str, name: str):
         time = event_s(name, recording.contacts)
     except InputError as error:
         raise InputError(
-            f"trial {files.name}, {files.forces}: {key}: {error}"
+            f"trial {files.name}, {listed(files.forces)}: {key}: {error}"
         ) from None
     return time, {"event": name, "time_s": time}
 

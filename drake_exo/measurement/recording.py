@@ -3,7 +3,7 @@
 The signals returned are unfiltered, unless `FootForces.filtered` is called.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,7 +11,12 @@ import numpy as np
 
 from drake_exo.errors import InputError
 from drake_exo.files.c3d import read_c3d
-from drake_exo.files.opensim import read_plates, read_table, read_trc
+from drake_exo.files.opensim import (
+    plates_of,
+    read_plates,
+    read_table,
+    read_trc,
+)
 from drake_exo.files.optitrack import read_markers_csv, read_plate_csv
 from drake_exo.files.osim import read_osim
 from drake_exo.files.tables import (
@@ -19,6 +24,8 @@ from drake_exo.files.tables import (
     PlateRecording,
     between,
     kind_of,
+    read_csv_table,
+    read_text,
     runs,
     uniform_time,
 )
@@ -31,6 +38,8 @@ from drake_exo.measurement.settings import (
     RecordingSettings,
     Standing,
     TrialFiles,
+    listed,
+    several,
 )
 from drake_exo.model.assembly import SIDES
 
@@ -243,6 +252,14 @@ def _plates_of_c3d(path: Path):
     return file.plate_time, file.plates
 
 
+def _plates_of_csv(path: Path):
+    # A table's first column is its time; Motive's plates begin otherwise.
+    if read_text(path).lstrip()[:5].strip('"').lower().startswith("time"):
+        table = read_csv_table(path)
+        return table.time, plates_of(table)
+    return read_plate_csv(path)
+
+
 _MARKER_READERS = {
     ".trc": read_trc,
     ".c3d": _markers_of_c3d,
@@ -252,15 +269,58 @@ _FORCE_READERS = {
     ".mot": read_plates,
     ".sto": read_plates,
     ".c3d": _plates_of_c3d,
-    ".csv": read_plate_csv,
+    ".csv": _plates_of_csv,
 }
 
 
-def _read_plates(path: Path) -> tuple[np.ndarray, Mapping[int, PlateRecording]]:
-    """Even times (N,) [s] and plates of a force file."""
-    read = _FORCE_READERS[kind_of(path, _FORCE_READERS, "a force file")]
-    time, recorded = read(path)
-    return uniform_time(str(path), time), recorded
+def _read_plates(
+    paths: Sequence[Path],
+) -> tuple[np.ndarray, Mapping[int, PlateRecording]]:
+    """Even times (N,) [s] and plates of a force file, or of one file each."""
+    files = []
+    for path in paths:
+        read = _FORCE_READERS[kind_of(path, _FORCE_READERS, "a force file")]
+        time, recorded = read(path)
+        files.append((uniform_time(str(path), time), recorded))
+    if len(files) == 1:
+        return files[0]
+    # Devices begin to stream one after the other.
+    start = max(time[0] for time, _ in files)
+    end = min(time[-1] for time, _ in files)
+    common, joined = None, {}
+    for number, (path, (time, recorded)) in enumerate(
+        zip(paths, files, strict=True), 1
+    ):
+        if len(recorded) != 1:
+            raise InputError(
+                f"{path}: holds {len(recorded)} force plates, but each file "
+                "of a list must hold one; give this file alone, or export "
+                "each plate by itself"
+            )
+        slack = 0.25 * (time[1] - time[0])
+        inside = between(time, start - slack, end + slack)
+        common = time[inside] if common is None else common
+        if (
+            inside.sum() != len(common)
+            or not (np.abs(time[inside] - common) < slack).all()
+        ):
+            raise InputError(
+                f"{path}: is not sampled at the times of {paths[0]}; export "
+                "the plates of one recording at one rate"
+            )
+        (plate,) = recorded.values()
+        joined[number] = PlateRecording(
+            number,
+            plate.force[inside],
+            plate.point[inside],
+            plate.torque[inside],
+        )
+    if len(common) < 2:
+        raise InputError(
+            f"{listed(paths)}: do not overlap in time; give files of the same "
+            "recording"
+        )
+    return common, joined
 
 
 def read_markers(
@@ -311,19 +371,19 @@ def _without_subject(data: MarkerData, known: Iterable[str]) -> MarkerData:
 
 
 def read_foot_forces(
-    path: Path,
+    paths: Path | Sequence[Path],
     plates: Plates,
     laboratory: Laboratory,
     settings: Filter,
     loaded: bool = True,
 ) -> FootForces:
-    """Read the plates under feet and chair from a force file, unfiltered.
+    """Read the plates under feet and chair from force files, unfiltered.
 
-    Files are .mot, .sto, .c3d and Motive's .csv.
+    Files are .mot, .sto, .c3d, and .csv: a table, or Motive's.
 
     Args:
-        path: the file.
-        plates: numbers of the plates.
+        paths: the file, or files of one plate each.
+        plates: numbers of the plates; places in the list of files.
         laboratory: axes and signs.
         settings: filter that will be applied later.
         loaded: whether a person stands on the plates; then signs are checked.
@@ -332,14 +392,15 @@ def read_foot_forces(
         InputError: unreadable, of another kind, or uneven in time; no such
             plate; too short or too slow for the filter; downward forces.
     """
-    time, recorded = _read_plates(path)
+    paths = [paths] if isinstance(paths, Path) else paths
+    time, recorded = _read_plates(paths)
     plain = {}
     for foot in (*SIDES, "both", "chair"):
-        used = [_plate(path, recorded, n) for n in plates.of(foot)]
+        used = [_plate(paths, recorded, n) for n in plates.of(foot)]
         if used:
             plain[foot] = sum(map(laboratory.on_body, used))
     wrenches = {foot: PlanarWrench.of_spatial(w) for foot, w in plain.items()}
-    forces = FootForces(time, wrenches, str(path), recorded=plain)
+    forces = FootForces(time, wrenches, listed(paths), recorded=plain)
     check_filterable(
         forces.source, len(time), forces.rate_hz, settings.cutoff_hz
     )
@@ -349,23 +410,24 @@ def read_foot_forces(
 
 
 def plates_under(
-    path: Path, numbers: tuple[int, ...]
+    paths: Sequence[Path], numbers: tuple[int, ...]
 ) -> tuple[np.ndarray, list[PlateRecording]]:
-    """Even times (N,) [s] of a force file, and some of its plates.
+    """Even times (N,) [s] of force files, and some of their plates.
 
     Raises:
         InputError: unreadable, of another kind, uneven in time, no such plate.
     """
-    time, recorded = _read_plates(path)
-    return time, [_plate(path, recorded, n) for n in numbers]
+    time, recorded = _read_plates(paths)
+    return time, [_plate(paths, recorded, n) for n in numbers]
 
 
-def _plate(path, recorded: Mapping[int, PlateRecording], number: int):
+def _plate(paths, recorded: Mapping[int, PlateRecording], number: int):
     if number in recorded:
         return recorded[number]
     numbers = ", ".join(map(str, recorded))
     raise InputError(
-        f"{path}: has no force plate {number}; it holds plates {numbers}"
+        f"{listed(paths)}: has no force plate {number}; it holds plates "
+        f"{numbers}"
     )
 
 
@@ -393,11 +455,11 @@ def read_feet(
         InputError: as `read_foot_forces`.
     """
     forces = read_foot_forces(
-        root / files.forces, files.plates, laboratory, settings
+        _under(root, files.forces), files.plates, laboratory, settings
     )
     if files.empty_plates is not None:
         empty = read_foot_forces(
-            root / files.empty_plates,
+            _under(root, files.empty_plates),
             files.plates,
             laboratory,
             settings,
@@ -406,6 +468,10 @@ def read_feet(
         check_empty(empty.source, empty.recorded.values())
         forces = forces.without(empty)
     return forces.levelled(laboratory.remove_plate_drift)
+
+
+def _under(root: Path, files) -> list[Path]:
+    return [root / file for file in several(files)]
 
 
 def check_empty(source: object, wrenches: Iterable[np.ndarray]) -> None:

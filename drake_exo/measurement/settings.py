@@ -39,6 +39,7 @@ Side = Literal["left", "right"]
 Use = Literal["calibration", "prediction"]
 Legs = Literal["left", "right", "both"]
 Point = tuple[float, float, float]
+Files = Path | tuple[Path, ...]
 # Names of files that `check` and a batch write beside the trials' files.
 _TAKEN = ("quality", "summary", "task", "timing")
 
@@ -461,7 +462,8 @@ class Standing:
     Attributes:
         markers: marker file, or coordinates as in a trial; the standing
             posture is its mean.
-        forces: force file of the same trial, if plates were recorded.
+        forces: force file of the same trial, if plates were recorded; or a
+            list of files, as in a trial.
         empty_plates: recording of the same plates with nothing on them.
         start_s: start of the quiet part; that of the file by default.
         end_s: end of the quiet part; that of the file by default.
@@ -470,9 +472,9 @@ class Standing:
     """
 
     markers: Path
-    forces: Path | None = None
+    forces: Files | None = None
     plates: Plates | None = None
-    empty_plates: Path | None = None
+    empty_plates: Files | None = None
     start_s: float | None = quantity("s", None)
     end_s: float | None = quantity("s", None)
     marker_axes: Axes | None = None
@@ -481,6 +483,28 @@ class Standing:
         _check_window(self.start_s, self.end_s)
         if (self.forces is None) != (self.plates is None):
             raise InputError("forces and plates must be given together")
+        _check_files(self)
+
+
+def several(files: Files | None) -> tuple[Path, ...]:
+    """A file, or a list of them, as a list; empty if there is none."""
+    if files is None:
+        return ()
+    return files if isinstance(files, tuple) else (files,)
+
+
+def listed(files: Files | Sequence[Path]) -> str:
+    """Names of one file or of several, for messages."""
+    return ", ".join(map(str, [files] if isinstance(files, Path) else files))
+
+
+def _check_files(of: "Standing | TrialFiles") -> None:
+    """Refuse lists of plates' files that are empty, or name a file twice."""
+    for key in ("forces", "empty_plates"):
+        if getattr(of, key) == ():
+            raise InputError(f"{key} names no file; name one")
+        told = key + " names {} more than once, and its plate"
+        _once([p.as_posix() for p in several(getattr(of, key))], told)
 
 
 @dataclass(frozen=True)
@@ -611,7 +635,8 @@ class TrialFiles:
         name: name of the trial in results.
         markers: marker file, or coordinates (.mot, .sto) of
             `model.human.osim`, as inverse kinematics finds them.
-        forces: force file.
+        forces: force file; or a list of files of one plate each, whose
+            numbers are then their places in the list.
         plates: which plate is under which foot.
         use: what the trial is for: to calibrate contact (Phases A and B), or
             to be predicted and compared with the measurement (Phase C).
@@ -646,7 +671,7 @@ class TrialFiles:
 
     name: str
     markers: Path
-    forces: Path
+    forces: Files
     plates: Plates
     use: Use = "calibration"
     encoders: Path | None = None
@@ -654,7 +679,7 @@ class TrialFiles:
     pressure: tuple[PressureFile, ...] = ()
     encoder_delay_s: float | None = quantity("s", None)
     pressure_delay_s: float | None = quantity("s", None)
-    empty_plates: Path | None = None
+    empty_plates: Files | None = None
     rise: int | None = quantity(None, None, minimum=1)
     sit: int | None = quantity(None, None, minimum=1)
     seated_s: float = quantity("s", 0.0, minimum=0.0)
@@ -667,6 +692,7 @@ class TrialFiles:
 
     def __post_init__(self):
         _check_window(self.start_s, self.end_s)
+        _check_files(self)
         for key, event, time, seconds in (
             ("from", self.begin, "start_s", self.start_s),
             ("to", self.end, "end_s", self.end_s),

@@ -30,7 +30,13 @@ from drake_exo.measurement.recording import (
     read_markers,
 )
 from drake_exo.measurement.sagittal import Axes, centre_of_pressure
-from drake_exo.measurement.settings import RecordingSettings, Side, TrialFiles
+from drake_exo.measurement.settings import (
+    RecordingSettings,
+    Side,
+    TrialFiles,
+    listed,
+    several,
+)
 
 _FLAT_SHARE = 0.2  # of a contact's frames counts as flat: slowest rotation
 _BELT_M_S = 0.2  # a flat foot that moves faster stands on a belt
@@ -100,8 +106,10 @@ def recorded_step(
     """
     files = _trial(settings, trial)
     lab = settings.laboratory.facing(files.marker_axes)
-    time, plates = plates_under(root / files.forces, files.plates.of(foot))
-    where = f"{files.forces}, trial {trial}, {foot} foot"
+    time, plates = plates_under(
+        [root / file for file in several(files.forces)], files.plates.of(foot)
+    )
+    where = f"{listed(files.forces)}, trial {trial}, {foot} foot"
     if not plates:
         raise InputError(
             f"trial {trial}: no plate is the {foot} foot's alone; name it in "
@@ -110,10 +118,11 @@ def recorded_step(
     each = [lab.on_body(plate) for plate in plates]
     if files.empty_plates is not None:
         _, empty = plates_under(
-            root / files.empty_plates, files.plates.of(foot)
+            [root / file for file in several(files.empty_plates)],
+            files.plates.of(foot),
         )
         bare = [lab.on_body(plate) for plate in empty]
-        check_empty(files.empty_plates, bare)
+        check_empty(listed(files.empty_plates), bare)
         each = [w - b.mean(axis=0) for w, b in zip(each, bare, strict=True)]
     if lab.remove_plate_drift:
         each = [level(time, w, 2, LARGEST_FOOT_N)[0] for w in each]

@@ -32,6 +32,7 @@ from drake_exo.measurement.settings import (
     SegmentMarkers,
     SidedMarkers,
     Standing,
+    listed,
 )
 from drake_exo.model.assembly import SIDES, Assembly, Person
 from drake_exo.model.description import (
@@ -346,14 +347,14 @@ def _body_mass(
     if wrench is not None:
         usual = (stated or _LEAST_MASS_KG) * settings.gravity_m_s2
         check_loaded(
-            str(settings.standing.forces), wrench, usual, "in standing"
+            listed(settings.standing.forces), wrench, usual, "in standing"
         )
     report["mass_from"] = "standing" if stated is None else source
     mass = measured if stated is None else stated
     if not mass > 0.0:
         raise InputError(
-            f"{settings.standing.forces}: standing gives a body mass of "
-            f"{mass:.1f} kg; check standing.plates"
+            f"{listed(settings.standing.forces)}: standing gives a body "
+            f"mass of {mass:.1f} kg; check standing.plates"
         )
     return mass
 
@@ -477,10 +478,10 @@ def _over_the_cop(settings, model: Model, q, wrench, report) -> HumanParameters:
     report["trunk_com_shift_m"] = dx
     if abs(dx) > 0.15:
         raise InputError(
-            f"{settings.standing.forces}: standing puts the trunk's centre of "
-            f"mass {dx:.2f} m off the hips; check that markers and plates "
-            "share one origin, laboratory.marker_axes and force_axes, the "
-            "unit of the plates' points (m, not mm), and standing.plates"
+            f"{listed(settings.standing.forces)}: standing puts the trunk's "
+            f"centre of mass {dx:.2f} m off the hips; check that markers and "
+            "plates share one origin, laboratory.marker_axes and force_axes, "
+            "the unit of the plates' points (m, not mm), and standing.plates"
         )
     com = (pelvis.com_m[0] + dx, pelvis.com_m[1])
     return replace(human, pelvis=replace(pelvis, com_m=com))

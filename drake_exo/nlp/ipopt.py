@@ -244,6 +244,7 @@ def solve(
 
     Raises:
         InputError: IPOPT has no such option, or refuses its value.
+        KeyboardInterrupt: Ctrl-C after the last iteration.
     """
     options = options or SolverOptions()
     own = _program_options(problem.program.prog)
@@ -301,6 +302,8 @@ def solve(
     elapsed = time.perf_counter() - start
     solution = _solution(problem, y, objective, status, watch, total, elapsed)
     if solution.success:
+        if stop.is_set():  # heard too late for this solve, not for the next
+            raise KeyboardInterrupt
         return solution
     if stop.is_set():
         solution.status = STOPPED_BY_USER

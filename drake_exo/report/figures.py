@@ -170,17 +170,25 @@ _JOINTS = (Trial.coordinate, "°"), (Trial.velocity, "°/s")
 
 
 def _joint_rows(trial: Trial, read, unit: str) -> list[tuple]:
-    """Rows of all joints; a device's is in that of the human's beside it."""
+    """Rows of all joints; a device's is in that of the human's beside it.
+
+    There it has the human's sense, in which a device may count its own angle
+    backwards.
+    """
     names = trial.coordinates
     beside = {names.follows(name): name for name in names.device}
     beside.pop(None, None)  # of a joint that no human joint moves
     alone = [name for name in names.device if name not in beside.values()]
     rows = []
     for joint in (*names.human, *alone):
+        drawn = {joint: 1.0}
+        if own := beside.get(joint):
+            turns = names.turned_by[names.device.index(own)]
+            is_back = turns[names.human.index(joint)] < 0.0
+            drawn[own] = -1.0 if is_back else 1.0
         signals = [
-            lambda t, name=name: np.rad2deg(read(t, name))
-            for name in (joint, beside.get(joint))
-            if name
+            lambda t, name=name, sense=sense: sense * np.rad2deg(read(t, name))
+            for name, sense in drawn.items()
         ]
         rows.append((f"{_joint_name(names, joint)} [{unit}]", *signals))
     return rows

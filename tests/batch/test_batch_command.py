@@ -140,10 +140,12 @@ def test_seven_are_broken_in_seven_ways(laboratory, tmp_path, capsys):
     (tmp_path / "s4" / movement).write_bytes(whole[: len(whole) // 2])
     (tmp_path / "s5" / "study.yaml").write_bytes(b"\xff\xfe\x00")
     edit(6, "end_s:", "end_s: -9 #")
-    path = write(tmp_path / "batch.yaml", CHECKS)
+    checks = CHECKS.replace("all]", "all, --accept, audti]")
+    path = write(tmp_path / "batch.yaml", checks)
     to = tmp_path / "out"
     assert main(["batch", str(path), "--out", str(to)]) == 3
     said = capsys.readouterr().out
+    assert "note: options of check: --accept audti: no check" in said
     assert "1 of 8 tasks hold, 8 run now" in said
     lines = [line for line in said.splitlines() if "/check: failed: " in line]
     assert len(lines) == 7

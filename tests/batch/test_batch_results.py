@@ -30,9 +30,9 @@ from drake_exo.batch.results import (
     write_table,
 )
 from drake_exo.batch.run import Batch, outcome
-from drake_exo.cli.batch import text_of
+from drake_exo.cli.batch import text_of, unmatched
 from drake_exo.errors import InputError
-from drake_exo.files.output import write_json
+from drake_exo.files.output import Check, Verdict, write_json
 
 SUMMARY = {
     "phase": "interaction",
@@ -243,6 +243,25 @@ def test_what_is_accepted_does_not_hold_and_ends_with_0(batch):
     text = text_of(accepted)
     assert text.startswith(f"{task.name}: does not hold: audit: off by 3 N")
     assert "0 of 1 tasks hold" in text
+
+
+def test_what_is_accepted_but_is_no_check_is_told(batch):
+    """A misspelt name; what one task alone may need is none."""
+    first, second, *_ = batch.tasks
+    words = ("audti", "solved", "replay")
+    tasks = [
+        replace(task, step="predict", options=("--accept", *words))
+        for task in (first, second)
+    ]
+    for task, own in zip(tasks, ("solved", "replay"), strict=True):
+        verdict = Verdict((Check(own, True),), words)
+        path = batch.out / task.name / "summary.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_json(path, verdict.summary())
+    done = {task.name: outcome(task, 0) for task in tasks}
+    assert unmatched(Batch(batch.out, tuple(tasks), done, 2)) == [
+        "note: options of predict: --accept audti: no check has that name"
+    ]
 
 
 def results_in(path: Path) -> dict:

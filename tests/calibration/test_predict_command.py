@@ -174,7 +174,15 @@ def test_ctrl_c_between_solves_keeps_what_is_finished(
     assert found["success"] is False and found["verdict"] == "not solved"
     assert [row["trial"] for row in found["rmsd"]] == ["rise4"]
     assert (out / "solution_rise4.npz").is_file()
-    assert not (out / "unfinished_rise4").exists()
+    # Finished trials are solved from their solutions, not anew.
+    assert (out / "unfinished_rise4" / "checkpoint.npz").is_file()
+    monkeypatch.undo()
+    with undrawn():
+        assert main([*command("predict"), *more, "--resume"]) == 0
+    again = json.loads((out / "summary.json").read_text("utf-8"))
+    before, now = (f["solves"][0]["iterations"] for f in (found, again))
+    assert now < before
+    assert not list(out.glob("unfinished_*"))
 
 
 @pytest.mark.slow

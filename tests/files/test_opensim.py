@@ -181,6 +181,23 @@ PLATE_NAMES = {
         for w in (f"force{n}_v", f"force{n}_p", f"torque{n}_")
         for a in "xyz"
     ],
+    **{
+        f"{v} {m}": [
+            f"{w.format(n)}{a}"
+            for n in (1, 2)
+            for w in (f"{v}_v", f"{v}_p", m)
+            for a in "xyz"
+        ]
+        for v, m in (
+            ("FP{}", "FP{}_moment_"),
+            ("FP{}", "FP{}_m"),
+            ("force{}", "torque{}_"),
+            ("force_{}", "moment_{}_m"),
+            ("plate_0{}", "plate_0{}_torque_"),
+            ("Force_Plate{}", "Force_Plate{}_torque_"),
+            ("{}", "{}_moment_m"),
+        )
+    },
     "bodies": [
         f"ground_force_calcn_{n}_{k}{a}"
         for n in "rl"
@@ -273,9 +290,29 @@ def test_two_columns_of_one_component_are_refused(other):
         plates_of(table([*names, other]))
 
 
+def test_numbered_columns_are_plates_unless_usual_names_are_there():
+    """Other instruments may be numbered, too."""
+    usual = [f"ground_force_{k}{a}" for k in "vp" for a in "xyz"]
+    numbered = [f"FP2_{k}{a}" for k in "vp" for a in "xyz"]
+    assert list(plates_of(table([*numbered, *usual]))) == [1]
+    names = [*numbered, "knee1", "FP7", "hip_2", "calcn1_x", "FP2_rx"]
+    assert list(plates_of(table(names))) == [2]
+
+
+@pytest.mark.parametrize("other", ["plate2_vx", "FP02_vx", "handle_2_vx"])
+def test_two_plates_of_one_number_are_refused(other):
+    names = [f"FP2_{k}{a}" for k in "vp" for a in "xyz"]
+    told = f"columns 'FP2_vx' and '{other}' are the same of one force plate"
+    with pytest.raises(InputError, match=told):
+        plates_of(table([*names, other]))
+    with pytest.raises(InputError, match="plate 2 has no x component of its p"):
+        plates_of(table(names[:3]))
+
+
 def test_table_without_plates_is_refused():
-    with pytest.raises(InputError, match="has no force plate"):
-        plates_of(table(["knee"]))
+    for name in ("knee", "FP_vx", "FP1_x", "FPa_vx"):
+        with pytest.raises(InputError, match="has no force plate"):
+            plates_of(table([name]))
 
 
 def test_gaps_in_plates():
@@ -336,6 +373,21 @@ def test_refuses_markers(tmp_path, markers, change, words):
     write_trc(path, markers)
     path.write_text(change(path.read_text()))
     assert words in refusal(read_trc, path)
+
+
+def test_a_header_may_count_one_frame_too_many_or_too_few(tmp_path, markers):
+    path = tmp_path / "m.trc"
+    write_trc(path, markers)
+    text = path.read_text()
+    for told in (24, 26):
+        path.write_text(text.replace("\t25\t3\t", f"\t{told}\t3\t"))
+        assert len(read_trc(path).time) == 25
+    for told in (23, 27):
+        path.write_text(text.replace("\t25\t3\t", f"\t{told}\t3\t"))
+        assert f"NumFrames={told}, but there are 25" in refusal(read_trc, path)
+    # A last line without its end may have been cut.
+    path.write_text(text.replace("\t25\t3\t", "\t26\t3\t").rstrip())
+    assert "truncated" in refusal(read_trc, path)
 
 
 def test_marker_units_come_from_the_header(tmp_path, markers):

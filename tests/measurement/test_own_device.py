@@ -234,8 +234,8 @@ def test_devices_that_cannot_be_end_a_command(
     [
         (
             {"joints": {"moter": {"coulomb_nm": 2}}},
-            "device.joints.moter: the device has no such joint; it has motor; "
-            "did you mean 'motor'?",
+            "study.yaml: device.joints.moter: the device has no such joint; it "
+            "has motor; did you mean 'motor'?",
         ),
         (
             {"hip": {"coulomb_nm": 2}},

@@ -118,6 +118,8 @@ def test_what_a_standing_trial_says():
     ]
     assert (tall.value, tall.holds) == (pytest.approx(1100 / 101), False)
     assert tall.level == "note" and "0.90 m above the floor" in tall.sentence
+    # A floor that is not at zero makes the legs longer, too.
+    assert "at z = 0 in the files (ankles are 80 mm above)" in tall.sentence
     cop = {"standing_cop_x_m": 0.03, "standing_com_x_m": -0.04}
     assert told(standing(**cop), "standing_balance") == [(0.07, 0.1, True)]
     cop["trunk_com_shift_m"] = -0.11

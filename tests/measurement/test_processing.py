@@ -15,6 +15,7 @@ from synthetic_recording import (
 from drake_exo.calibration.clocks import Clock, retimed
 from drake_exo.errors import InputError
 from drake_exo.files.c3d import write_c3d
+from drake_exo.files.inspection import inspect
 from drake_exo.files.opensim import (
     read_plates,
     read_table,
@@ -22,7 +23,7 @@ from drake_exo.files.opensim import (
     write_table,
     write_trc,
 )
-from drake_exo.files.tables import MarkerData, Table
+from drake_exo.files.tables import MarkerData, Table, write_csv_table
 from drake_exo.measurement.kinematics import inverse_dynamics
 from drake_exo.measurement.processing import Recordings
 from drake_exo.measurement.settings import Axes, Scaling
@@ -56,6 +57,73 @@ def residual(subject, trial):
     tree = subject.model.rigid.tree
     loads = {tree.root: trial.ground}
     return inverse_dynamics(tree, trial.q, trial.v, trial.a, loads)[:, :3]
+
+
+def by_plate(path):
+    """Write each plate of a force file to one of its own, as Motive does."""
+    table = read_table(path)
+    for number in ("1", "2"):
+        own = [i for i, n in enumerate(table.names) if f"_{number}_" in n]
+        names = tuple(table.names[i] for i in own)
+        one = replace(table, names=names, values=table.values[:, own])
+        write_table(path.with_name(f"{path.stem}{number}.mot"), one)
+
+
+def test_each_plate_may_have_a_file_of_its_own(files):
+    folder, study = files
+    (whole, _) = load(study, folder)[1]
+    for name in ("sts", "static"):
+        by_plate(folder / f"{name}.mot")
+    text = (folder / "study.yaml").read_text()
+    # Numbers are places in the list: 1 is the left foot's file here.
+    for name in ("sts", "static"):
+        text = text.replace(
+            f"forces: {name}.mot", f"forces: [{name}2.mot, {name}1.mot]"
+        )
+    text = text.replace("left: 2", "left: 1").replace("right: 1", "right: 2")
+    (folder / "study.yaml").write_text(text)
+    trial = read_study(folder / "study.yaml").trials()[0]
+    np.testing.assert_array_equal(trial.ground.array, whole.ground.array)
+    assert trial.provenance["forces"] == "sts2.mot, sts1.mot"
+
+
+def test_plates_may_be_columns_of_a_csv_table(files):
+    folder, study = files
+    (whole, _) = load(study, folder)[1]
+    table = read_table(folder / "sts.mot")
+    names = tuple(n.replace("ground_force_", "FP") for n in table.names)
+    unit = {"v": "N", "p": "mm", "m": "Nm"}
+    units = [unit[name.split("_")[1][0]] for name in names]
+    path = folder / "sts.csv"
+    write_csv_table(path, replace(table, names=names), units)
+    assert "plate 2: loaded 100 %" in inspect(path)
+    text = (folder / "study.yaml").read_text().replace("sts.mot", "sts.csv")
+    (folder / "study.yaml").write_text(text)
+    trial = read_study(folder / "study.yaml").trials()[0]
+    np.testing.assert_allclose(
+        trial.ground.array, whole.ground.array, atol=1e-5
+    )
+
+
+def test_files_of_one_plate_each_must_belong_together(files):
+    folder, _ = files
+    by_plate(folder / "sts.mot")
+    lines = (folder / "sts2.mot").read_text().splitlines()
+    text = (folder / "study.yaml").read_text()
+
+    def refusal(second):
+        made = text.replace("forces: sts.mot", f"forces: [sts1.mot, {second}]")
+        (folder / "study.yaml").write_text(made)
+        with pytest.raises(InputError) as error:
+            read_study(folder / "study.yaml").trials()
+        return str(error.value)
+
+    assert "sts.mot: holds 2 force plates, but each file" in refusal("sts.mot")
+    assert "forces names sts1.mot more than once" in refusal("sts1.mot")
+    half = [*lines[:7], *lines[7::2]]
+    half[2] = f"nRows={len(half) - 7}"
+    (folder / "half.mot").write_text("\n".join(half))
+    assert "half.mot: is not sampled at the times of" in refusal("half.mot")
 
 
 def time_of(trial):

@@ -208,6 +208,24 @@ def test_interruption_keeps_the_best_iterate():
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+def test_an_interruption_after_the_last_iteration_is_not_forgotten(
+    monkeypatch,
+):
+    """The solve has ended by then; what follows must not begin."""
+    program, _ = valleys()
+    attempt = ipopt._attempt
+
+    def interrupted(*given):
+        found = attempt(*given)
+        os.kill(os.getpid(), signal.SIGINT)
+        return found
+
+    monkeypatch.setattr(ipopt, "_attempt", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        ipopt.solve(SparseProgram(program), np.zeros(6))
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
 @pytest.mark.parametrize(("last", "nth"), [("elastic", 4), ("exact", 1)])
 def test_interruption_is_told_of_an_infeasible_problem_too(last, nth):
     """Among the stiffer springs, and after all of them."""

@@ -25,6 +25,7 @@ from drake_exo.model.coordinates import Coordinates
 from drake_exo.model.description import nominal_human
 from drake_exo.model.plant import Model
 from drake_exo.report import figures
+from drake_exo.virtual_laboratory import synthetic
 
 DEGREES = 180.0 / np.pi
 
@@ -139,6 +140,32 @@ def test_angles_and_velocities_of_both(trials, found):
                     values = DEGREES * getattr(t, of)[:, place]
                     same(drawn[label], t.times, values)
                 assert len(drawn) == 4
+
+
+@undrawn()
+def test_a_device_s_joint_that_counts_backwards_lies_on_the_human_s():
+    made = synthetic.rises_in_device(1, nodes_per_second=20)
+    (plain,) = made.trials
+    names = plain.coordinates
+    k, knee = names.device.index("exo_knee"), names.index("exo_knee")
+    turned = names.turned_by.copy()
+    turned[k] *= -1.0
+    q, v = plain.q.copy(), plain.v.copy()
+    q[:, knee] *= -1.0
+    v[:, knee] *= -1.0
+    backwards = replace(
+        plain, coordinates=replace(names, coupling=turned), q=q, v=v
+    )
+    for unit in ("°", "°/s"):
+        drawn = [
+            lines(
+                panels(figures.kinematics_figure({"model": [trial]}, [trial]))[
+                    f"knee [{unit}]"
+                ][0]
+            )["model, exoskeleton"]
+            for trial in (plain, backwards)
+        ]
+        same(drawn[1], *drawn[0])
 
 
 @pytest.mark.slow
