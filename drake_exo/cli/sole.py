@@ -341,8 +341,7 @@ def _strain(args) -> int:
         }
         print(strains.write_table(out, found, mark))
         _note(out, found)
-        failed = any(sole["failures"] for sole in found.values())
-        folder.end(NOT_SOLVED_CODE if failed else 0)
+    failed = any(sole["failures"] for sole in found.values())
     print(f"results in {folder.path}")
     return NOT_SOLVED_CODE if failed else 0
 
