@@ -135,23 +135,12 @@ class Design:
         return dict(zip(TRACE, columns, strict=True))
 
     @property
-    def stages_seconds(self) -> list[float]:
-        """Computing time of each stage [s]."""
-        return [best.seconds for best in self.optima]
-
-    @property
-    def smoothed(self) -> tuple[float, float] | None:
-        """c_tr and c_rot by the last stage's smoothed law."""
-        e = self.problem.evaluate(self.variables)
-        return None if e is None else (e.c_tr, e.c_rot)
-
-    @property
     def _told(self) -> dict[str, float]:
         """The smoothed law's c and the exact law's relative change from it."""
-        if self.smoothed is None:
+        e = self.problem.evaluate(self.variables)
+        if e is None:
             return {}
-        c_tr, c_rot = self.smoothed
-        c = c_tr - self.setup.settings.cost.weight * c_rot
+        c = e.c_tr - self.setup.settings.cost.weight * e.c_rot
         return {"c_smoothed": c, "exact_change": self.step.c / c - 1}
 
     def summary(self) -> dict:
@@ -200,13 +189,6 @@ class Design:
                 "simulations": sum(o.simulations for o in self.optima),
             }
         return row | self._told
-
-    @property
-    def _surface(self) -> dict[str, float]:
-        """Depth, height and draft over all bare surface, fixed parts too."""
-        limits = self.problem.surface
-        all_nodes = np.ones_like(limits.moving)
-        return replace(limits, moving=all_nodes).measures(self.mesh)
 
     def active(self) -> list[str]:
         """Names of the active limits, and of what the shape has to keep."""
@@ -397,7 +379,7 @@ class Design:
         verdict = self.verdict(accepted, finer)
         row |= verdict.summary() | {"finer": finer}
         row["seconds"] = round(self.seconds + time.perf_counter() - began, 2)
-        row["stages_seconds"] = [round(s, 2) for s in self.stages_seconds]
+        row["stages_seconds"] = [round(best.seconds, 2) for best in self.optima]
         write_json(
             folder / DESIGN,
             {
@@ -432,7 +414,10 @@ class Design:
     def _write_stl(self, folder: Path) -> dict:
         """Write sole and mould for printing; what was checked of them."""
         sole = self.mesh.nodes[self.mesh.boundary_faces]
-        measured = self._surface
+        limits = self.problem.surface
+        # Over all bare surface, fixed parts too.
+        every = replace(limits, moving=np.ones_like(limits.moving))
+        measured = every.measures(self.mesh)
         told = {
             "sole.stl": {
                 "watertight": is_watertight(sole),
