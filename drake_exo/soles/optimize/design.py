@@ -190,6 +190,13 @@ class Design:
             }
         return row | self._told
 
+    @property
+    def _surface(self) -> dict[str, float]:
+        """Depth, height and draft over all bare surface, fixed parts too."""
+        limits = self.problem.surface
+        all_nodes = np.ones_like(limits.moving)
+        return replace(limits, moving=all_nodes).measures(self.mesh)
+
     def active(self) -> list[str]:
         """Names of the active limits, and of what the shape has to keep."""
         values = self.problem.constraints(self.variables)
@@ -414,10 +421,7 @@ class Design:
     def _write_stl(self, folder: Path) -> dict:
         """Write sole and mould for printing; what was checked of them."""
         sole = self.mesh.nodes[self.mesh.boundary_faces]
-        limits = self.problem.surface
-        # Over all bare surface, fixed parts too.
-        every = replace(limits, moving=np.ones_like(limits.moving))
-        measured = every.measures(self.mesh)
+        measured = self._surface
         told = {
             "sole.stl": {
                 "watertight": is_watertight(sole),
