@@ -519,14 +519,7 @@ def compare_strains(
             }
             for q in np.unique([0, count // 2, count - 1])
         ],
-        "failures": [
-            {
-                "sample": int(rows[q] + 1),
-                "reached": finite.reports[q].reached,
-                "message": finite.reports[q].message,
-            }
-            for q in np.flatnonzero(~finite.converged)
-        ],
+        "failures": _failures(finite, rows),
     }
 
 
@@ -550,6 +543,17 @@ def from_json(found: dict, name: Path | str) -> dict:
             f"{name}: finite_strain is damaged; run drake-exo sole strain again"
         ) from None
     return sole
+
+
+def _failures(finite: FiniteHistory, rows: np.ndarray) -> list[dict]:
+    return [
+        {
+            "sample": int(rows[q] + 1),
+            "reached": finite.reports[q].reached,
+            "message": finite.reports[q].message,
+        }
+        for q in np.flatnonzero(~finite.converged)
+    ]
 
 
 def _sample(
