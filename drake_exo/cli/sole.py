@@ -251,14 +251,17 @@ def _simulate(args) -> int:
 def _optimize(args) -> int:
     """Optimise one case; the exit code of its verdict."""
     case = _case(args)
-    say = _progress(case.name).update
+    progress = _progress(case.name)
+    say = progress.update
     # A bad one is refused before a folder is made.
     resume = read_checkpoint(args.resume) if args.resume else None
     folder = _out_of(args, case)
     with folder as out:
         try:
-            design = case.optimize(out, say, resume, args.jobs)
-            row = design.write(out, say, args.accept)
+            with _ticking(progress, "searching"):
+                design = case.optimize(out, say, resume, args.jobs)
+            with _ticking(progress, "checking the design"):
+                row = design.write(out, say, args.accept)
         except KeyboardInterrupt:
             way = "before the first checkpoint; begin again"
             if any(out.rglob(CHECKPOINT)):
@@ -284,7 +287,9 @@ def _study(args) -> int:
     with folder as out:
         verdict, text = study.run(out, args.jobs, args.front, args.accept)
         print(text)
-        print(paper.report(out, soles.find_designs(out), out))
+        with _ticking(_progress("study"), "pictures"):
+            text = paper.report(out, soles.find_designs(out), out)
+        print(text)
         folder.end(verdict.exit_code)
     print(verdict.text())
     print(f"results in {folder.path}")
@@ -335,10 +340,12 @@ def _strain(args) -> int:
             raise InputError("sole strain: give --out with a case file")
     folder = _out_or_source(args, strains.TABLE)
     with folder as out:
-        found = {
-            s.name: soles.compare_strains(s, _progress(s.name).update)
-            for s in setups
-        }
+        found = {}
+        for setup in setups:
+            progress = _progress(setup.name)
+            with _ticking(progress, "simulating heel strike"):
+                judged = soles.compare_strains(setup, progress.update)
+            found[setup.name] = judged
         print(strains.write_table(out, found, mark))
         _note(out, found)
     failed = any(sole["failures"] for sole in found.values())
@@ -402,7 +409,8 @@ def _note(out: Path, found: dict[str, dict]) -> None:
 def _report(args) -> int:
     """Draw pictures and report.html again, and print the table."""
     designs = soles.find_designs(args.source)
-    with _out_or_source(args, paper.SOLES) as out:
+    drawing = _ticking(_progress(str(args.source)), "pictures")
+    with _out_or_source(args, paper.SOLES) as out, drawing:
         text = paper.report(out, designs, args.source)
     if text:
         print(text)

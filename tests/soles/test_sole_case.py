@@ -87,6 +87,8 @@ def test_a_case_runs_and_leaves_its_results(folder, capsys, monkeypatch):
         (["simulate", "case.yaml"], "soles.Case.read",
          "case.yaml: reading and meshing ("),
         (["study"], "paper.Study.read", "study: reading and meshing ("),
+        (["optimize", "case.yaml"], "soles.Case.optimize",
+         "small: searching ("),
         (["reduce", "law.yaml"], "soles.sole_samples", "law.yaml: fitting 4 "),
     ],
 )  # fmt: skip
@@ -102,9 +104,12 @@ def test_what_is_slow_is_told(tmp_path, capsys, monkeypatch, words, slow, said):
     if words[0] == "reduce":
         monkeypatch.setattr(f"drake_exo.cli.sole.{slow}", lambda source: None)
         monkeypatch.setattr("drake_exo.contact.reduction.reduce_sole", idle)
+    (tmp_path / "load.csv").write_text(ROWS)
+    (tmp_path / "case.yaml").write_text(GOOD)
+    monkeypatch.chdir(tmp_path)
     out = ["--out", str(tmp_path / "out.yaml")]
     assert cli.main(["sole", *words, *out]) == 2
-    assert capsys.readouterr().out.startswith(said)
+    assert f"\n{said}" in f"\n{capsys.readouterr().out}"
 
 
 @pytest.mark.slow
