@@ -2,7 +2,9 @@
 
 import time
 from argparse import ArgumentParser
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from threading import Event, Thread
 
 from drake_exo import soles
 from drake_exo.cli import add_accept, add_out, count, positive
@@ -29,6 +31,7 @@ from drake_exo.soles.optimize.files import (
 )
 from drake_exo.soles.optimize.search import front_checks
 
+_QUIET = 2.0  # longest time without a line [s]
 _FOLDERS = "folder of 'sole optimize' or 'sole study'"
 _LIMITS = (
     "limits on stability, tilt and strain: all keeps the case's, none leaves "
@@ -163,7 +166,8 @@ def _read_case(args, path: Path) -> soles.Case:
 
         return read_study(path.parent / study, args.data_root).step(*which)
 
-    return soles.Case.read(path, args.data_root, args.mesh, read_step)
+    with _ticking(_progress(str(path)), "reading and meshing"):
+        return soles.Case.read(path, args.data_root, args.mesh, read_step)
 
 
 def _case(args) -> soles.Case:
@@ -197,7 +201,26 @@ def _out_of(args, case: soles.Case) -> OutputFolder:
 
 
 def _progress(name: str, total: int | None = None) -> Progress:
-    return Progress(name, total, interval_seconds=2.0)
+    return Progress(name, total, interval_seconds=_QUIET)
+
+
+@contextmanager
+def _ticking(progress: Progress, *said):
+    """Say so again and again while something is done that tells nothing."""
+    ended = Event()
+
+    def tick() -> None:
+        with suppress(BrokenPipeError):  # which the command itself will meet
+            while not ended.wait(_QUIET / 4):
+                progress.update(*said)
+
+    thread = Thread(target=tick, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 def _simulate(args) -> int:
@@ -213,7 +236,8 @@ def _simulate(args) -> int:
         print(f"{case.name}: {tets} tets, {samples} samples", flush=True)
         step = case.simulate(lambda done, _: progress.update("samples", done))
         progress.update("pictures", samples)
-        verdict = step.write(out, seconds, args.accept)
+        with _ticking(progress, "pictures", samples):
+            verdict = step.write(out, seconds, args.accept)
         folder.end(verdict.exit_code)
     print(
         f"{case.name}: c_tr {step.c_tr:.4g} N/m, c_rot {step.c_rot:.4g} "
@@ -227,14 +251,17 @@ def _simulate(args) -> int:
 def _optimize(args) -> int:
     """Optimise one case; the exit code of its verdict."""
     case = _case(args)
-    say = _progress(case.name).update
+    progress = _progress(case.name)
+    say = progress.update
     # A bad one is refused before a folder is made.
     resume = read_checkpoint(args.resume) if args.resume else None
     folder = _out_of(args, case)
     with folder as out:
         try:
-            design = case.optimize(out, say, resume, args.jobs)
-            row = design.write(out, say, args.accept)
+            with _ticking(progress, "searching"):
+                design = case.optimize(out, say, resume, args.jobs)
+            with _ticking(progress, "checking the design"):
+                row = design.write(out, say, args.accept)
         except KeyboardInterrupt:
             way = "before the first checkpoint; begin again"
             if any(out.rglob(CHECKPOINT)):
@@ -251,15 +278,18 @@ def _optimize(args) -> int:
 
 def _study(args) -> int:
     """Optimise the paper's five cases; exit code of all verdicts together."""
-    study = paper.Study.read(
-        args.data_root, args.mesh, args.coarse, args.limits, args.iterations
-    )
+    with _ticking(_progress("study"), "reading and meshing"):
+        study = paper.Study.read(
+            args.data_root, args.mesh, args.coarse, args.limits, args.iterations
+        )
     print(f"load: {study.source}")
     folder = prepare_output_folder(args.out, args.force, reads=[args.mesh])
     with folder as out:
         verdict, text = study.run(out, args.jobs, args.front, args.accept)
         print(text)
-        print(paper.report(out, soles.find_designs(out), out))
+        with _ticking(_progress("study"), "pictures"):
+            text = paper.report(out, soles.find_designs(out), out)
+        print(text)
         folder.end(verdict.exit_code)
     print(verdict.text())
     print(f"results in {folder.path}")
@@ -310,14 +340,15 @@ def _strain(args) -> int:
             raise InputError("sole strain: give --out with a case file")
     folder = _out_or_source(args, strains.TABLE)
     with folder as out:
-        found = {
-            s.name: soles.compare_strains(s, _progress(s.name).update)
-            for s in setups
-        }
+        found = {}
+        for setup in setups:
+            progress = _progress(setup.name)
+            with _ticking(progress, "simulating heel strike"):
+                judged = soles.compare_strains(setup, progress.update)
+            found[setup.name] = judged
         print(strains.write_table(out, found, mark))
         _note(out, found)
-        failed = any(sole["failures"] for sole in found.values())
-        folder.end(NOT_SOLVED_CODE if failed else 0)
+    failed = any(sole["failures"] for sole in found.values())
     print(f"results in {folder.path}")
     return NOT_SOLVED_CODE if failed else 0
 
@@ -346,7 +377,9 @@ def _reduce(args) -> int:
                 "--out"
             ) from error
     samples = soles.sole_samples(args.source)
-    found = reduce_sole(samples, args.spheres, args.planar)
+    fitting = f"fitting {args.spheres} spheres"
+    with _ticking(_progress(str(args.source)), fitting):
+        found = reduce_sole(samples, args.spheres, args.planar)
     found.write(args.out)
     where = "the plane" if args.planar else "space"
     print(
@@ -376,7 +409,8 @@ def _note(out: Path, found: dict[str, dict]) -> None:
 def _report(args) -> int:
     """Draw pictures and report.html again, and print the table."""
     designs = soles.find_designs(args.source)
-    with _out_or_source(args, paper.SOLES) as out:
+    drawing = _ticking(_progress(str(args.source)), "pictures")
+    with _out_or_source(args, paper.SOLES) as out, drawing:
         text = paper.report(out, designs, args.source)
     if text:
         print(text)

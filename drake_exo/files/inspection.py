@@ -22,8 +22,10 @@ from drake_exo.files.tables import (
     MarkerData,
     PlateRecording,
     Table,
+    check_names,
     comma_separated,
     kind_of,
+    number_rows,
     read_csv_table,
     read_text,
     runs,
@@ -106,11 +108,23 @@ def _of_csv(path: Path) -> Contents:
     if ";" in cells[0] and len(cells) > 1:
         whole = {"cells": (1, len(cells) - 1)}
         return _pressure(read_pressure_csv(path, whole))
+    if (names := [cell.strip() for cell in cells])[0] == "time_s":
+        return _of_named_columns(path, lines, names)
     table = read_csv_table(path)
     found = {}
     if has_plates(table):
         found = _plates(table.time, plates_of(table))
     return found | _channels(table, "in SI units, angles in radians")
+
+
+def _of_named_columns(path: Path, lines, names: list[str]) -> Contents:
+    """Ranges in a table of a sole's step, whose names hold their units."""
+    check_names(path, 1, names)
+    _, *rows = [row for row in enumerate(lines, 1) if row[1].strip()]
+    rows = [(number, line.split(",")) for number, line in rows]
+    values = number_rows(path, rows, len(names))
+    table = Table(values[:, 0], tuple(names[1:]), values[:, 1:], False)
+    return _channels(table, "units in their names")
 
 
 def _places(path: Path) -> Contents:

@@ -80,7 +80,34 @@ def _read_stl(path: Path) -> meshio.Mesh:
     return meshio.Mesh(places, [("triangle", triangles)])
 
 
-_READERS = {".obj": _read_obj, ".stl": _read_stl, ".ply": meshio.ply.read}
+def _read_nastran(path: Path) -> meshio.Mesh:
+    """Read a Nastran file; meshio knows no words in lower case."""
+    text = path.read_text("latin-1").upper()
+    # Nor does it stop where a file is cut off after its first line of data.
+    if "BEGIN BULK" in text and "\nENDDATA" not in text:
+        raise ValueError("it does not end with ENDDATA")
+    return meshio.nastran.read(io.StringIO(text))
+
+
+def _read_su2(path: Path) -> meshio.Mesh:
+    """Read an SU2 file; meshio takes fewer elements than are announced."""
+    raw = meshio.su2.read(path)
+    said = re.findall(rb"^NELEM=\s*(\d+)", path.read_bytes(), re.MULTILINE)
+    # Cells of a lower dimension are of markers.
+    top = max((block.dim for block in raw.cells), default=0)
+    there = sum(len(block) for block in raw.cells if block.dim == top)
+    if there < sum(map(int, said)):
+        raise ValueError(f"it holds {there} of its elements, and is cut off")
+    return raw
+
+
+_READERS = {
+    ".obj": _read_obj,
+    ".stl": _read_stl,
+    ".ply": meshio.ply.read,
+    ".su2": _read_su2,
+    **dict.fromkeys((".bdf", ".fem", ".nas"), _read_nastran),
+}
 
 
 @kept(8)
@@ -110,12 +137,7 @@ def read_cells(
             "one (BOM)"
         )
     try:
-        # meshio would search for the end of a .ply's header forever.
-        if start.startswith(b"ply") and b"end_header" not in start:
-            raise ValueError("its header does not end")
-        # Nor does meshio stop for a Nastran file that is cut off here.
-        if b"BEGIN BULK" in start and b"ENDDATA" not in start:
-            raise ValueError("it does not end with ENDDATA")
+        _check_end(start)
         if re.search(rb"^\$MeshFormat\s+2\S*\s+0\s", start, re.MULTILINE):
             _check_gmsh(start)
         with _quiet():
@@ -159,6 +181,17 @@ def read_cells(
     for array in (nodes, found, *raw.point_data.values()):
         array.flags.writeable = False
     return nodes, found, raw.point_data
+
+
+def _check_end(data: bytes) -> None:
+    """Refuse a file whose end meshio would seek forever."""
+    if data.startswith(b"ply") and b"end_header" not in data:
+        raise ValueError("its header does not end")
+    is_nodes_begun = re.search(rb"^\s*Begin Nodes", data, re.MULTILINE)
+    if is_nodes_begun and b"End Nodes" not in data:  # Kratos
+        raise ValueError("its nodes do not end")
+    if data.startswith(b"(") and not data.rstrip().endswith(b")"):  # Ansys
+        raise ValueError("its last bracket does not close")
 
 
 def _check_gmsh(data: bytes) -> None:

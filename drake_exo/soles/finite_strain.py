@@ -237,18 +237,14 @@ class FiniteStrainSolver:
         )
         return _Linearisation(self, point, 0.0).wrench_response()
 
-    def _planes(self, target, R):
-        """References and axes of the contact nodes, see `Ground.planes`."""
-        return self.ground.planes(target.places_before(R, self.rest))
-
     def _tau(self, state, target) -> np.ndarray:
-        Q, _ = self._planes(target, state.R)
+        Q, _ = self.ground.planes(target.places_before(state.R, self.rest))
         return state.F - self.law.penalty * (self.places(state) - Q)
 
     def _evaluate(self, tau, guess, target, scale) -> "_Point":
         """Residuals at τ (m, 3), which gives forces and contact places."""
         O, R = guess.O, guess.R  # noqa: E741
-        Q, axes = self._planes(target, R)
+        Q, axes = self.ground.planes(target.places_before(R, self.rest))
         F = _in_planes(axes, tau, lambda tau: project(tau, self.law))
         P = Q + (F - tau) / self.law.penalty
         u = guess.u.copy()

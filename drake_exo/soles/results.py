@@ -68,15 +68,13 @@ def step_checks(step) -> tuple[Check, ...]:
     """Checks of a `Step`, see the table in docs/soles.md."""
 
     def check(name, holds, value, limit, unit, sentence, level="fail"):
-        where = step.setup.name
         return Check(
             name, bool(holds), value, limit, unit, where, sentence, level
         )
 
-    failed = np.flatnonzero(~step.converged)
-    if not len(failed):
-        checks = [Check(SOLVED, True, where=step.setup.name)]
-    else:
+    where, failed = step.setup.name, np.flatnonzero(~step.converged)
+    checks = [Check(SOLVED, True, where=where)]
+    if len(failed):
         q, status = failed[0], step.history.reports[failed[0]].message
         # Counted from 1, as the table of finite strain counts.
         phases, place = step.setup.load.phases, ""
@@ -95,24 +93,10 @@ def step_checks(step) -> tuple[Check, ...]:
         ]
     if len(failed) == len(step.times):
         return tuple(checks)
-    strain = step.largest_strain
-    is_worse = strain >= _INSIDE_OUT
-    limit = _INSIDE_OUT if is_worse else SMALL_STRAIN
-    checks.append(
-        check("plausibility.strain", strain < limit, strain, limit, "",
-              _TURNED_OVER if is_worse else _NOT_SMALL,
-              "fail" if is_worse else "note")
-    )  # fmt: skip
-    checks += [
-        check(
-            f"plausibility.{name}",
-            holds,
-            value,
-            *said,
-            "fail" if name == "tilt" and value >= _OVER_DEG else "note",
-        )
-        for name, holds, value, *said in _notes(step)
-    ]
+    for name, holds, value, limit, unit, said, *fails in _notes(step):
+        level = "fail" if any(fails) else "note"
+        name = f"plausibility.{name}"
+        checks.append(check(name, holds, value, limit, unit, said, level))
     worst = step.complementarity()
     checks.append(
         check("contact", worst <= _COMPLEMENTARITY, worst, _COMPLEMENTARITY,
@@ -123,8 +107,14 @@ def step_checks(step) -> tuple[Check, ...]:
 
 
 def _notes(step):
-    """Arguments of `check` for notes: name, holds, value, limit, unit, text."""
-    load = step.setup.load
+    """Name, holds, value, limit, unit, text of notes; whether one may fail."""
+    load, strain = step.setup.load, step.largest_strain
+    is_worse = strain >= _INSIDE_OUT
+    limit = _INSIDE_OUT if is_worse else SMALL_STRAIN
+    yield (
+        "strain", strain < limit, strain, limit, "",
+        _TURNED_OVER if is_worse else _NOT_SMALL, is_worse,
+    )  # fmt: skip
     most = float(load.force[:, 2].max())
     yield (
         "load_force", most >= _LIGHT, most, _LIGHT, "N",
@@ -170,6 +160,7 @@ def _notes(step):
             "the foot leans far over: a small push may tip it"
             if tilt < _OVER_DEG
             else "the foot has turned over: what was found there is not a step",
+            tilt >= _OVER_DEG,
         )  # fmt: skip
         margin = float(np.nanmin(step.stability[free]))
         loose = int(np.sum(step.stability[free] <= 0))

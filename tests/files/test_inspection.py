@@ -142,6 +142,20 @@ def test_csv_of_signals_and_of_pressure(tmp_path):
     assert inspect(tmp_path / "cells.csv") == found
 
 
+def test_a_table_of_a_sole_s_step(tmp_path):
+    """As the sole half writes and reads them: units are in the names."""
+    path = tmp_path / "steps.csv"
+    path.write_text("time_s, force_z_n,zmp_x_m\n0,200,-0.05\n0.1,400,nan\n")
+    assert inspect(path).splitlines()[1:] == [
+        "2 channels, units in their names, 10 Hz, 0 to 0.1 s, 2 samples",
+        "  force_z_n: 200 to 400",
+        "  zmp_x_m: -0.05 throughout; not seen in 1 frame: 0.1 s",
+    ]
+    path.write_text("time_s,force_z_n\n0,200\n0.1\n")
+    with pytest.raises(InputError, match=r"steps.csv:3: has 1 values where 2"):
+        inspect(path)
+
+
 @pytest.mark.parametrize("ending", ["stl", "obj", "ply", "vtk"])
 def test_meshes_by_their_size(tmp_path, ending):
     """A tetrahedron of 30 by 20 by 10, as its faces or as itself."""

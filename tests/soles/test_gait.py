@@ -11,6 +11,7 @@ from drake_exo import cli
 from drake_exo.errors import InputError
 from drake_exo.soles.case import EXAMPLE, Case
 from drake_exo.soles.optimize.problem import ShapeProblem
+from drake_exo.soles.settings import Settings
 from drake_exo.soles.walking_pattern import Gait, Robot, plan, smooth_share
 
 FREE = ("step_length", "step_time", "double_support", "zmp")
@@ -234,6 +235,10 @@ def test_sole_and_walk_are_sought_together(tmp_path):
     assert length[1] / time[1] >= 0.999 * length[0] / time[0]
     assert said["gait"]["contact_s"][1] <= 1.001 * said["gait"]["contact_s"][0]
     assert any(a != b for a, b in walk.values())
+    # Without the noise of its rounding, and with as many samples.
+    found = Settings.read(tmp_path / "out" / "case.yaml").load.pattern
+    assert found.period_s == float(f"{found.period_s:.12g}")
+    assert len(found.load().times) == said["loads"][0]["steps"]
     w = said["weight"]
     before = (
         said["gait"]["c_tr_sole_alone"] - w * said["gait"]["c_rot_sole_alone"]

@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+import time
 from functools import partial
 from pathlib import Path
 
@@ -79,6 +80,37 @@ def test_a_case_runs_and_leaves_its_results(folder, capsys, monkeypatch):
         assert arrays["force_W"].shape[0] == 3
     for name in ("load", "stiffness", "pose", "pressure"):
         assert (folder / "out" / f"{name}.png").stat().st_size > 5000
+
+
+@pytest.mark.parametrize(
+    ("words", "slow", "said"),
+    [
+        (["simulate", "case.yaml"], "soles.Case.read",
+         "case.yaml: reading and meshing ("),
+        (["study"], "paper.Study.read", "study: reading and meshing ("),
+        (["optimize", "case.yaml"], "soles.Case.optimize",
+         "small: searching ("),
+        (["reduce", "law.yaml"], "soles.sole_samples", "law.yaml: fitting 4 "),
+    ],
+)  # fmt: skip
+def test_what_is_slow_is_told(tmp_path, capsys, monkeypatch, words, slow, said):
+    """Meshing a surface and fitting spheres take some seconds."""
+
+    def idle(*given):
+        time.sleep(0.1)
+        raise InputError("slow")
+
+    monkeypatch.setattr("drake_exo.cli.sole._QUIET", 0.02)
+    monkeypatch.setattr(f"drake_exo.cli.sole.{slow}", idle)
+    if words[0] == "reduce":
+        monkeypatch.setattr(f"drake_exo.cli.sole.{slow}", lambda source: None)
+        monkeypatch.setattr("drake_exo.contact.reduction.reduce_sole", idle)
+    (tmp_path / "load.csv").write_text(ROWS)
+    (tmp_path / "case.yaml").write_text(GOOD)
+    monkeypatch.chdir(tmp_path)
+    out = ["--out", str(tmp_path / "out.yaml")]
+    assert cli.main(["sole", *words, *out]) == 2
+    assert f"\n{said}" in f"\n{capsys.readouterr().out}"
 
 
 @pytest.mark.slow

@@ -154,6 +154,44 @@ def test_a_nastran_file_that_is_cut_off_is_refused(tmp_path):
         read_mesh(path)
 
 
+@pytest.mark.parametrize("end", ["ENDDATA", "enddata"])
+def test_a_nastran_file_in_either_case_is_read(tmp_path, end):
+    mesh, path = brick(SIZE, (3, 2, 2)), tmp_path / "sole.bdf"
+    nodes = [f"{i + 1},,{x},{y},{z}" for i, (x, y, z) in enumerate(mesh.nodes)]
+    tets = [",".join(map(str, tet)) for tet in (mesh.tets + 1).tolist()]
+    rows = ["begin bulk", *(f"grid,{node}" for node in nodes)]
+    rows += [f"ctetra,{k + 1},1,{tet}" for k, tet in enumerate(tets)]
+    words = "\n".join([*rows, end, ""])
+    path.write_text(words if end.islower() else words.upper())
+    back = read_mesh(path)
+    np.testing.assert_allclose(back.nodes, mesh.nodes, atol=1e-12)
+    np.testing.assert_array_equal(back.tets, mesh.tets)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "rows", "words"),
+    [
+        (".su2", 1, "holds 71 of its elements"),
+        (".mdpa", 100, "its nodes do not end"),
+        (".msh", 100, "its last bracket does not close"),
+    ],
+)
+def test_a_file_that_is_cut_off_is_refused(tmp_path, suffix, rows, words):
+    """Of the last two formats meshio would read on forever."""
+    mesh, path = brick(SIZE, (3, 2, 2)), tmp_path / f"sole{suffix}"
+    made = meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)])
+    if suffix == ".msh":
+        meshio.ansys.write(path, made, binary=False)
+    else:
+        made.write(path)
+    lines = path.read_bytes().splitlines(keepends=True)
+    while lines[-1].startswith(b"NMARK"):
+        lines.pop()
+    path.write_bytes(b"".join(lines[:-rows]))
+    with pytest.raises(InputError, match=words):
+        read_mesh(path)
+
+
 def test_inverted_element_is_refused():
     mesh = brick(SIZE, (2, 2, 2))
     tets = mesh.tets.copy()

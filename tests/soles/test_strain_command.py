@@ -131,6 +131,36 @@ def test_a_folder_without_designs_is_refused(tmp_path, capsys):
     assert "holds no design" in told and "also a case file" in told
 
 
+def test_a_table_with_samples_that_fail_replaces_an_earlier_one(
+    study, tmp_path, monkeypatch
+):
+    """In another folder as in the design's own: that they fail is its news."""
+    own, out = tmp_path / "own", tmp_path / "out"
+    shutil.copytree(study / "small", own)
+    found = json.loads((own / "summary.json").read_text())["finite_strain"]
+    where = ["sole", "strain", str(own)]
+    assert cli.main([*where, "--out", str(out)]) == 0
+    failed = {"sample": 2, "reached": 0.5, "message": "no equilibrium"}
+    monkeypatch.setattr(
+        "drake_exo.soles.compare_strains",
+        lambda *given: found | {"failures": [failed]},
+    )
+    for more in (["--out", str(out)], []):
+        assert cli.main([*where, *more, "--force"]) == 1
+    assert not out.with_name("out.partial").exists()
+    for folder in (own, out):
+        text = (folder / "finite_strain.txt").read_text()
+        assert "sample 2: no equilibrium" in text
+
+
+def test_designs_side_by_side_are_found_without_a_summary(study, tmp_path):
+    """As a study leaves those without limits."""
+    for name in ("b", "a"):
+        shutil.copytree(study / "small", tmp_path / name)
+    found = find_designs(tmp_path)
+    assert [design.folder.name for design in found] == ["a", "b"]
+
+
 def test_pictures_are_drawn_again_from_the_folders(study, tmp_path):
     """Of two designs, the same bytes each time."""
     pair = tmp_path / "pair"

@@ -135,23 +135,12 @@ class Design:
         return dict(zip(TRACE, columns, strict=True))
 
     @property
-    def stages_seconds(self) -> list[float]:
-        """Computing time of each stage [s]."""
-        return [best.seconds for best in self.optima]
-
-    @property
-    def smoothed(self) -> tuple[float, float] | None:
-        """c_tr and c_rot by the last stage's smoothed law."""
-        e = self.problem.evaluate(self.variables)
-        return None if e is None else (e.c_tr, e.c_rot)
-
-    @property
     def _told(self) -> dict[str, float]:
         """The smoothed law's c and the exact law's relative change from it."""
-        if self.smoothed is None:
+        e = self.problem.evaluate(self.variables)
+        if e is None:
             return {}
-        c_tr, c_rot = self.smoothed
-        c = c_tr - self.setup.settings.cost.weight * c_rot
+        c = e.c_tr - self.setup.settings.cost.weight * e.c_rot
         return {"c_smoothed": c, "exact_change": self.step.c / c - 1}
 
     def summary(self) -> dict:
@@ -397,7 +386,7 @@ class Design:
         verdict = self.verdict(accepted, finer)
         row |= verdict.summary() | {"finer": finer}
         row["seconds"] = round(self.seconds + time.perf_counter() - began, 2)
-        row["stages_seconds"] = [round(s, 2) for s in self.stages_seconds]
+        row["stages_seconds"] = [round(best.seconds, 2) for best in self.optima]
         write_json(
             folder / DESIGN,
             {

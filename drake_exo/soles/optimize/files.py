@@ -330,6 +330,8 @@ def find_designs(folder: Path | str) -> list[StoredDesign]:
     if (folder / SUMMARY).is_file():
         rows = read_summary(folder).get("cases", [])
         names = [r["name"] for r in rows if (folder / r["name"]).is_dir()]
+    else:  # those without limits, which stand in the study's own summary.json
+        names = sorted(file.parent.name for file in folder.glob(f"*/{CASE}"))
     if not names:
         raise InputError(
             f"{folder}: holds no design; give a folder that 'sole optimize' "

@@ -160,10 +160,9 @@ class ShapeProblem:
         return self._cache[key]
 
     def _simulate(self, p):
-        shape = self._split(p)[0]
-        sole = self._sole.with_nodes(self._grid.places(shape))
-        stretch = self._grid.stretch(shape)
-        if stretch.min() <= 0 or sole.mesh.volumes.min() <= 0:
+        nodes = self._grid.places(self._split(p)[0])
+        sole = self._sole.with_nodes(nodes)
+        if sole.mesh.volumes.min() <= 0:
             return None
         solver = ContactSolver.of(
             sole, self.law, tolerance=1e-12, ground=self.setup.ground
@@ -386,13 +385,9 @@ class _Grid:
         self.mesh, self.rest = mesh, mesh.quality()
         self.M, self.s0 = spline.basis(mesh.nodes)
 
-    def stretch(self, coefficients: np.ndarray) -> np.ndarray:
-        """Factor s at every node, (n,)."""
-        return self.M @ coefficients + self.s0
-
     def places(self, coefficients: np.ndarray) -> np.ndarray:
         """Places of the nodes in a shape [m], (n, 3)."""
-        return self.stretch(coefficients)[:, None] * self.mesh.nodes
+        return (self.M @ coefficients + self.s0)[:, None] * self.mesh.nodes
 
     def by_coefficients(self, X: np.ndarray) -> np.ndarray:
         """Chain rule from node positions (n, 3) to coefficients (k,)."""

@@ -361,7 +361,7 @@ def _with_walk(setup: Setup, design: Design, found: Found) -> Design:
     # So that case.yaml gives as many samples as the search had.
     walk = replace(
         robots[1],
-        period_s=gait.robot.period_s * spans[1] / spans[0],
+        period_s=float(f"{gait.robot.period_s * spans[1] / spans[0]:.12g}"),
         first_s=float(design.setup.load.times[0]),
     )
     design.setup = _walking(design.setup, walk)
