@@ -9,11 +9,14 @@ from contextlib import contextmanager
 def stop_on_interrupt(stop: threading.Event):
     """Turn the first Ctrl-C into a request to stop; the second raises.
 
-    Python's own KeyboardInterrupt would be raised within IPOPT's C++.
+    Python's own KeyboardInterrupt would be raised within IPOPT's C++, where
+    the second one may be lost: then it is raised at the end.
     """
+    again = threading.Event()
 
     def handle(number, frame):
         if stop.is_set():
+            again.set()
             raise KeyboardInterrupt
         stop.set()
 
@@ -27,3 +30,5 @@ def stop_on_interrupt(stop: threading.Event):
     finally:
         if previous is not None:
             signal.signal(signal.SIGINT, previous)
+    if again.is_set():
+        raise KeyboardInterrupt

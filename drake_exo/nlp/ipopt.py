@@ -40,11 +40,13 @@ _STATUS = {
     -2: "restoration failed",
     -3: "error in step computation",
     -4: "maximum CPU time exceeded",
+    -5: "maximum wall-clock time exceeded",
     -10: "not enough degrees of freedom",
     -11: "invalid problem definition",
     -12: "invalid option",
     -13: "invalid number: a function returned NaN or infinity",
     -100: "unrecoverable exception",
+    -101: "exception outside IPOPT",
     -102: "insufficient memory",
     -199: "internal error",
 }
@@ -414,7 +416,8 @@ def _ipopt_options(options, strategy) -> dict:
         # Extra memory for delayed pivots in % of the estimate, doubled if it
         # does not suffice; IPOPT's 1000 % is allocated at each factorisation.
         "mumps_mem_percent": 20,
-        "fixed_variable_treatment": "make_parameter",
+        # Bounds are relaxed while it searches; results keep them.
+        "honor_original_bounds": "yes",
         **(_NEAR if strategy in _NEARBY else {}),
         **options.extra,
     }
@@ -440,7 +443,7 @@ def _attempt(problem, y0, options, watch) -> Outcome:
             problem.jacobian,
             problem.hessian,
             watch,
-            _ipopt_options(options, watch.strategy),
+            options=_ipopt_options(options, watch.strategy),
         )
 
 

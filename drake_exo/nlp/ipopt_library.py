@@ -2,7 +2,8 @@
 
 The wheel brings IPOPT, MUMPS and their BLAS for Linux and macOS. casadi's own
 interface would hide the iterations' errors and IPOPT's restoration, so the
-library is called as IPOPT documents it (IpStdCInterface.h).
+library is called as IPOPT documents it (IpStdCInterface.h). A process that
+forks while another thread solves may hang: MUMPS' lock is copied.
 """
 
 import ctypes
@@ -13,39 +14,48 @@ from ctypes import CFUNCTYPE, POINTER, c_bool, c_char_p, c_double, c_int
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
+from numbers import Integral, Real
 from pathlib import Path
 
 import numpy as np
 
 from drake_exo.errors import InputError
 
-_Pointer = ctypes.c_void_p
+# Of IPOPT's ApplicationReturnStatus.
+SOLVED, INFEASIBLE = 0, 2
+_HELD = 1e-8  # by which a constraint may be missed where nothing is free
+
+_Data = ctypes.c_void_p  # user_data, or a problem
 _Numbers, _Indices = POINTER(c_double), POINTER(c_int)
-_POINT = (c_int, _Numbers, c_bool)  # n, x, whether x is new
-_Cost = _Gradient = CFUNCTYPE(c_bool, *_POINT, _Numbers, _Pointer)
-_Constraints = CFUNCTYPE(c_bool, *_POINT, c_int, _Numbers, _Pointer)
+# The result, then n, x, whether x is new, and what the header lists.
+_Cost = CFUNCTYPE(c_bool, c_int, _Numbers, c_bool, _Numbers, _Data)
+_Gradient = _Cost
+_Constraints = CFUNCTYPE(
+    c_bool, c_int, _Numbers, c_bool, c_int, _Numbers, _Data
+)
 _Jacobian = CFUNCTYPE(
-    *(c_bool, *_POINT, c_int),
-    *(c_int, _Indices, _Indices, _Numbers, _Pointer),
-)
+    c_bool, c_int, _Numbers, c_bool,
+    c_int, c_int, _Indices, _Indices, _Numbers, _Data,
+)  # fmt: skip
 _Hessian = CFUNCTYPE(
-    *(c_bool, *_POINT, c_double, c_int, _Numbers, c_bool),
-    *(c_int, _Indices, _Indices, _Numbers, _Pointer),
-)
-_Watch = CFUNCTYPE(
-    *(c_bool, c_int, c_int, *[c_double] * 8),
-    *(c_int, _Pointer),
-)
+    c_bool, c_int, _Numbers, c_bool,
+    c_double, c_int, _Numbers, c_bool,
+    c_int, _Indices, _Indices, _Numbers, _Data,
+)  # fmt: skip
+_Watch = CFUNCTYPE(c_bool, c_int, c_int, *[c_double] * 8, c_int, _Data)
 
 
 @cache
 def _library() -> ctypes.CDLL:
     ending = "dylib" if sys.platform == "darwin" else "so"
-    file = Path(find_spec("casadi").origin).with_name(f"libipopt.{ending}")
+    casadi = find_spec("casadi")
+    if casadi is None:
+        raise ImportError("install casadi, whose wheel holds IPOPT")
+    file = Path(casadi.origin).with_name(f"libipopt.{ending}")
     # Else a BLAS that another package loaded for all would take the place of
     # this one's: MUMPS then returns wrong factors.
     library = ctypes.CDLL(str(file), getattr(os, "RTLD_DEEPBIND", 0))
-    library.CreateIpoptProblem.restype = _Pointer
+    library.CreateIpoptProblem.restype = _Data
     library.CreateIpoptProblem.argtypes = [
         *(c_int, _Numbers, _Numbers, c_int, _Numbers, _Numbers),
         *(c_int, c_int, c_int),
@@ -53,12 +63,12 @@ def _library() -> ctypes.CDLL:
     ]
     for kind, number in (("Str", c_char_p), ("Num", c_double), ("Int", c_int)):
         add = getattr(library, f"AddIpopt{kind}Option")
-        add.restype, add.argtypes = c_bool, [_Pointer, c_char_p, number]
+        add.restype, add.argtypes = c_bool, [_Data, c_char_p, number]
     library.SetIntermediateCallback.restype = c_bool
-    library.SetIntermediateCallback.argtypes = [_Pointer, _Watch]
-    library.IpoptSolve.argtypes = [_Pointer, *[_Numbers] * 6, _Pointer]
+    library.SetIntermediateCallback.argtypes = [_Data, _Watch]
+    library.IpoptSolve.argtypes = [_Data, *[_Numbers] * 6, _Data]
     library.FreeIpoptProblem.restype = None
-    library.FreeIpoptProblem.argtypes = [_Pointer]
+    library.FreeIpoptProblem.argtypes = [_Data]
     return library
 
 
@@ -93,6 +103,7 @@ def run_ipopt(
     jacobian: Callable,
     hessian: Callable,
     watch: Callable,
+    *,
     options: dict,
     multipliers: np.ndarray | None = None,
     at_bounds: tuple[np.ndarray, np.ndarray] | None = None,
@@ -120,6 +131,10 @@ def run_ipopt(
         BaseException: whatever a function raises ends the run.
     """
     n, m = len(x0), len(constraint_bounds[0])
+    if n == 0:  # the C interface takes neither this ...
+        return _nothing_to_find(x0, constraint_bounds, cost, constraints)
+    if m and not len(jacobian_structure[0]):  # ... nor no entry at all
+        jacobian_structure, jacobian = np.zeros((2, 1), int), lambda x: 0.0
     raised = []
 
     def guarded(function):
@@ -139,28 +154,31 @@ def run_ipopt(
     def array(pointer, size=n):
         return np.ctypeslib.as_array(pointer, (size,)) if size else np.empty(0)
 
+    def point(pointer, size=n):
+        return array(pointer, size).copy()
+
     def value(_, x, new, out, data):
-        out[0] = cost(array(x).copy())
+        out[0] = cost(point(x))
         return True
 
     def slope(_, x, new, out, data):
-        array(out)[:] = gradient(array(x).copy())
+        array(out)[:] = gradient(point(x))
         return True
 
     def values(_, x, new, m, out, data):
-        array(out, m)[:] = constraints(array(x).copy())
+        array(out, m)[:] = constraints(point(x))
         return True
 
     def first(_, x, new, m, size, rows, columns, out, data):
         if out:
-            array(out, size)[:] = jacobian(array(x).copy())
+            array(out, size)[:] = jacobian(point(x))
         else:  # IPOPT asks for the structure
             array(rows, size)[:], array(columns, size)[:] = jacobian_structure
         return True
 
     def second(_, x, new, factor, m, lam, newer, size, rows, columns, out, d):
         if out:
-            given = array(x).copy(), array(lam, m).copy(), factor
+            given = point(x), point(lam, m), factor
             array(out, size)[:] = hessian(*given)
         else:
             array(rows, size)[:], array(columns, size)[:] = hessian_structure
@@ -173,7 +191,7 @@ def run_ipopt(
         _Jacobian(guarded(first)),
         _Hessian(guarded(second)),
     )
-    follow = _Watch(guarded(lambda *told: bool(watch(*told[:-1]))))
+    follow = _Watch(guarded(lambda *told: bool(watch(*told[:-1]))))  # no data
     library = _library()
     sides = [_owned(side) for side in (*bounds, *constraint_bounds)]
     low, high, least, most = map(_pointer, sides)
@@ -183,7 +201,9 @@ def run_ipopt(
     )
     x, multipliers = _owned(x0), _owned(multipliers, m)
     at_bounds = tuple(_owned(side, n) for side in at_bounds or (None, None))
-    found = np.zeros(1)
+    found = np.full(1, np.nan)
+    # No options of a file that lies in the working folder.
+    options = {"option_file_name": "", **options}
     try:
         for name, given in options.items():
             _set(library, problem, name, given)
@@ -197,13 +217,25 @@ def run_ipopt(
     return Outcome(x, float(found[0]), status, multipliers, at_bounds)
 
 
+def _nothing_to_find(x, constraint_bounds, cost, constraints) -> Outcome:
+    """The outcome where all unknowns are fixed: whether constraints hold."""
+    values, (low, high) = np.asarray(constraints(x)), constraint_bounds
+    holds = np.all((values >= low - _HELD) & (values <= high + _HELD))
+    status = SOLVED if holds else INFEASIBLE
+    at_bounds = np.zeros(0), np.zeros(0)
+    multipliers = np.zeros(len(values))
+    return Outcome(x, float(cost(x)), status, multipliers, at_bounds)
+
+
 def _set(library, problem, name, value) -> None:
+    key, done = name.encode(), False
     if isinstance(value, str):
-        done = library.AddIpoptStrOption(problem, name.encode(), value.encode())
-    elif isinstance(value, int):
-        done = library.AddIpoptIntOption(problem, name.encode(), value)
-    else:
-        done = library.AddIpoptNumOption(problem, name.encode(), value)
+        done = library.AddIpoptStrOption(problem, key, value.encode())
+    elif isinstance(value, Integral):
+        if abs(value) < 2**31:
+            done = library.AddIpoptIntOption(problem, key, int(value))
+    elif isinstance(value, Real):
+        done = library.AddIpoptNumOption(problem, key, float(value))
     if not done:
         raise InputError(
             f"IPOPT takes no option {name!r} of {value!r}; see its list of "

@@ -1,5 +1,6 @@
 """Solving: status, sealing, strategies, interruption."""
 
+import contextlib
 import os
 import signal
 import threading
@@ -242,6 +243,42 @@ def test_interruption_is_told_of_an_infeasible_problem_too(last, nth):
     )
     assert seen.count(last) >= nth
     assert found.was_stopped and found.binding == []
+
+
+@pytest.mark.parametrize("fixed", [(0,), (0, 1)])
+@pytest.mark.parametrize("least", [0.5, 1.5])
+def test_a_constraint_on_what_is_fixed(fixed, least):
+    """It holds or not, whatever else is found."""
+    program = BatchedProgram()
+    x = program.prog.NewContinuousVariables(2, "x")
+    program.prog.AddQuadraticCost((x[1] - 3.0) ** 2)
+    for i in fixed:
+        program.prog.AddBoundingBoxConstraint(1.0, 1.0, x[i])
+    program.prog.AddConstraint(lambda x: x**3, [least], [9.0], x[:1])
+    found = ipopt.solve(SparseProgram(program), np.ones(2))
+    assert found.success is (least < 1.0)
+    if found.success:
+        free = 1.0 if len(fixed) == 2 else 3.0
+        np.testing.assert_allclose(found.values([0, 1]), [1.0, free])
+
+
+def test_bounds_are_kept_exactly():
+    """IPOPT relaxes them while it searches."""
+    program = BatchedProgram()
+    x = program.prog.NewContinuousVariables(1, "x")
+    program.prog.AddQuadraticCost((x[0] + 1.0) ** 2)
+    program.prog.AddBoundingBoxConstraint(0.0, 9.0, x)
+    found = ipopt.solve(SparseProgram(program), np.ones(1))
+    assert found.success and 0.0 <= found.values([0])[0] < 1e-6
+
+
+def test_a_second_interruption_that_is_lost_is_raised_at_the_end():
+    """ctypes drops what a handler raises before a function's own code."""
+    stop = threading.Event()
+    with pytest.raises(KeyboardInterrupt), stop_on_interrupt(stop):
+        os.kill(os.getpid(), signal.SIGINT)
+        with contextlib.suppress(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
 
 
 def test_a_second_interruption_is_not_withheld():

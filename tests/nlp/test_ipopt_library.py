@@ -30,8 +30,8 @@ def hanging(x0=(4.0, 4.0), options=None, told=None, at=None, **functions):
         (np.zeros(2, int), np.arange(2)),
         (np.array([0, 1, 1]), np.array([0, 0, 1])),
         *(functions.get(name, entry) for name, entry in entries.items()),
-        {**OPTIONS, **(options or {})},
-        *(at or ()),
+        options={**OPTIONS, **(options or {})},
+        **(at or {}),
     )
 
 
@@ -66,12 +66,13 @@ def test_a_warm_start_takes_its_multipliers():
             1e-9,
         ),
     }
-    at = cold.multipliers, cold.at_bounds
+    at = {"multipliers": cold.multipliers, "at_bounds": cold.at_bounds}
     again = hanging(cold.x, warm, told, at)
     np.testing.assert_allclose(again.x, cold.x, atol=1e-8)
     assert len(told) <= 3
     # What was handed over is not written to.
-    assert again.multipliers is not at[0] and at[1][0] is cold.at_bounds[0]
+    assert again.multipliers is not cold.multipliers
+    assert again.at_bounds[1] is not cold.at_bounds[1]
 
 
 @pytest.mark.parametrize(
@@ -113,11 +114,54 @@ def test_watch_ends_the_run():
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("no_such", 1), ("tol", 1), ("mu_strategy", "worst")]
+    ("name", "value"),
+    [
+        ("no_such", 1),
+        ("tol", 1),
+        ("mu_strategy", "worst"),
+        ("max_iter", 2**32 + 5),
+        ("tol", None),
+    ],
 )
 def test_an_option_that_ipopt_refuses_is_named(name, value):
     with pytest.raises(InputError, match=f"no option '{name}' of {value!r}"):
         hanging(options={name: value})
+
+
+def test_options_are_numbers_of_numpy_too():
+    options = {"max_iter": np.int64(2), "tol": np.float64(1e-9)}
+    assert hanging(options=options).status == -1
+
+
+def test_options_in_the_working_folder_are_not_read(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "ipopt.opt").write_text("max_iter 1\n")
+    assert hanging().status == 0
+    assert hanging(options={"option_file_name": "ipopt.opt"}).status == -1
+
+
+@pytest.mark.parametrize("n", [0, 1])
+@pytest.mark.parametrize(("least", "status"), [(0.3, 0), (0.4, 2)])
+def test_a_constraint_that_nothing_moves(n, least, status):
+    """Without entries in the Jacobian, and without unknowns."""
+    found = run_ipopt(
+        np.full(n, 2.0),
+        (np.full(n, -9.0), np.full(n, 9.0)),
+        (np.array([least]), np.array([np.inf])),
+        (np.empty(0, int), np.empty(0, int)),
+        (np.arange(n), np.arange(n)),
+        lambda x: x @ x,
+        lambda x: 2.0 * x,
+        lambda x: np.array([0.3]),
+        lambda x: np.empty(0),
+        lambda x, lam, factor: np.full(n, 2.0 * factor),
+        lambda *_: True,
+        options=OPTIONS,
+    )
+    assert found.status == status
+    assert len(found.x) == n and len(found.multipliers) == 1
+    if status == 0:
+        np.testing.assert_allclose(found.x, 0.0, atol=1e-8)
 
 
 def test_no_constraints():
@@ -133,7 +177,7 @@ def test_no_constraints():
         lambda x: np.empty(0),
         lambda x, lam, factor: np.array([2.0 * factor]),
         lambda *_: True,
-        OPTIONS,
+        options=OPTIONS,
     )
     assert found.x == pytest.approx([1.0]) and len(found.multipliers) == 0
 

@@ -237,9 +237,9 @@ def _ipopt(monkeypatch, solve=None):
     """The settings that IPOPT is given from now on; or another solver."""
     asked, solve = [], solve or optimizer.run_ipopt
 
-    def run(*args):
-        asked.append(args[11])
-        return solve(*args)
+    def run(*args, options, **more):
+        asked.append(options)
+        return solve(*args, options=options, **more)
 
     monkeypatch.setattr(optimizer, "run_ipopt", run)
     return asked
@@ -251,8 +251,8 @@ def test_an_interrupted_run_s_bounds_have_multipliers_of_the_barrier(
     p, best = np.array([0.5, 0.3, 1.4, 1.0]), np.full(4, 0.4)
     m, problem, asked = np.array([-0.1, -0.2]), Quadratic(), []
 
-    def solve(*args):
-        asked.append((args[12], *args[13]))
+    def solve(*_, multipliers, at_bounds, **more):
+        asked.append((multipliers, *at_bounds))
         raise KeyboardInterrupt
 
     _ipopt(monkeypatch, solve)

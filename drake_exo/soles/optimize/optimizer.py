@@ -76,6 +76,8 @@ _OPTIONS = {
     "bound_relax_factor": 0.0,
     # Second-order corrections cost a simulation each, and win little.
     "max_soc": 0,
+    # MUMPS would end the process over a derivative that is no number.
+    "check_derivatives_for_naninf": "yes",
     "print_level": 0,
     "sb": "yes",
 }
@@ -102,6 +104,7 @@ _STATUS = {
     3: "steps became tiny",
     -1: ITERATION_LIMIT,
     -2: "restoration failed",
+    -3: "line search failed",
     -13: "invalid number",
 }
 
@@ -326,7 +329,7 @@ def minimise(
             np.divmod(np.arange(m * n), n),
             np.tril_indices(n),
             *map(calls.interruptible, functions),
-            {
+            options={
                 "max_iter": iterations,
                 "tol": tolerance,
                 # Caps the violation: far outside, a simulation says little.
@@ -334,8 +337,8 @@ def minimise(
                 **_OPTIONS,
                 **({**_WARM, "mu_init": warm.barrier} if warm else {}),
             },
-            multipliers,
-            at_bounds,
+            multipliers=multipliers,
+            at_bounds=at_bounds,
         )
     if calls.stop.is_set():
         raise KeyboardInterrupt
