@@ -116,28 +116,17 @@ def design(
     if len(names) > 1:  # files are called after them
         _check_labels(names, studies)
     with studies[0].named():
-        return _designed(studies, contacts, names, settings, parts)
-
-
-def _designed(
-    studies: Sequence[Study],
-    contacts: Sequence[Calibration | ContactModel],
-    names: Sequence[str],
-    settings: DesignSettings,
-    parts: bool,
-) -> Designed:
-    """See `design`."""
-    worn = [
-        Wearer(
-            name,
-            own.model,
-            own.worn(contact),
-            own.trials("prediction"),
-            device=own.device,
-        )
-        for name, own, contact in zip(names, studies, contacts, strict=True)
-    ]
-    check_wearers(worn, settings)  # told before minutes of solving
+        worn = [
+            Wearer(
+                name,
+                own.model,
+                own.worn(contact),
+                own.trials("prediction"),
+                device=own.device,
+            )
+            for name, own, contact in zip(names, studies, contacts, strict=True)
+        ]
+        check_wearers(worn, settings)  # told before minutes of solving
     if settings.population is not None:
         for who in worn:
             check_population(who)

@@ -30,8 +30,8 @@ import yaml
 import drake_exo
 from drake_exo.errors import InputError, nearest
 from drake_exo.files import schema
+from drake_exo.files.output import read_bytes
 from drake_exo.files.schema import quantity
-from drake_exo.files.tables import read_bytes
 
 STUDY_STEPS = ("check", "calibrate", "crossvalidate", "predict", "design")
 CASE_STEPS = ("sole simulate", "sole optimize")

@@ -27,8 +27,8 @@ from drake_exo.contact.parameters import ContactModel
 from drake_exo.contact.systems import made_on_demand
 from drake_exo.errors import InputError, path_of
 from drake_exo.files import schema
+from drake_exo.files.output import read_bytes
 from drake_exo.files.schema import quantity
-from drake_exo.files.tables import read_bytes
 from drake_exo.model.description import (
     body_width,
     exoskeleton_sdf,

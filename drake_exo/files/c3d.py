@@ -33,7 +33,7 @@ from pathlib import Path
 import numpy as np
 
 from drake_exo.errors import InputError, first_line, printable
-from drake_exo.files.output import Progress
+from drake_exo.files.output import Progress, read_bytes
 from drake_exo.files.tables import (
     LENGTHS,
     MarkerData,
@@ -41,7 +41,6 @@ from drake_exo.files.tables import (
     Table,
     kept,
     plate_axes,
-    read_bytes,
     without_zeros,
 )
 

@@ -12,7 +12,8 @@ import numpy as np
 from manifold3d import triangulate
 
 from drake_exo.errors import InputError, reason
-from drake_exo.files.tables import kept, read_bytes
+from drake_exo.files.output import read_bytes
+from drake_exo.files.tables import kept
 
 _STL = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")]
 _VERTEX = re.compile(r"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)

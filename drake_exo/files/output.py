@@ -32,8 +32,7 @@ from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 import numpy as np
 
-from drake_exo.errors import InputError
-from drake_exo.files.tables import read_bytes
+from drake_exo.errors import InputError, path_of
 
 # Lists the files that a run wrote, so that replacing results never removes
 # files that somebody else put into the folder.
@@ -382,6 +381,26 @@ def rounded(value: float) -> str:
     '52 900'
     """
     return f"{float(f'{value:.3g}'):,.10g}".replace(",", " ")
+
+
+def read_bytes(path: str | Path, remedy: str = "check the path") -> bytes:
+    """Read the bytes of a file.
+
+    Raises:
+        InputError: it cannot be read, or is not a regular file (a device or a
+            pipe may never end); `remedy` ends the message.
+    """
+    path = path_of(path, "path")
+    try:
+        if not (path.is_file() or path.is_dir()) and path.exists():
+            raise InputError(
+                f"{path}: cannot be read (no regular file); {remedy}"
+            )
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); {remedy}"
+        ) from error
 
 
 def read_json(path: str | Path, remedy: str) -> Any:

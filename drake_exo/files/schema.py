@@ -33,7 +33,7 @@ from drake_exo.errors import (
     first_line,
     nearest,
 )
-from drake_exo.files.tables import read_bytes
+from drake_exo.files.output import read_bytes
 
 T = TypeVar("T")
 

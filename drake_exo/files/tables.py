@@ -20,7 +20,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from drake_exo.errors import InputError, nearest, path_of, printable
+from drake_exo.errors import InputError, nearest, printable
+from drake_exo.files.output import Progress, read_bytes
 
 Reader = TypeVar("Reader", bound=Callable)
 # Larger than any measurement in any unit, but squares do not overflow.
@@ -29,26 +30,6 @@ _BLOCK = 200  # rows made numbers at a time
 _SHOWN = 40  # characters of a cell in a message
 # Below this vertical force the centre of pressure is undefined [N].
 COP_THRESHOLD_N = 20.0
-
-
-def read_bytes(path: str | Path, remedy: str = "check the path") -> bytes:
-    """Read the bytes of a file.
-
-    Raises:
-        InputError: it cannot be read, or is not a regular file (a device or a
-            pipe may never end); `remedy` ends the message.
-    """
-    path = path_of(path, "path")
-    try:
-        if not (path.is_file() or path.is_dir()) and path.exists():
-            raise InputError(
-                f"{path}: cannot be read (no regular file); {remedy}"
-            )
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); {remedy}"
-        ) from error
 
 
 def kind_of(path: str | Path, known: Iterable[str], what: str) -> str:
@@ -132,8 +113,6 @@ def number_rows(
             cells, a cell that is not a number, or one larger than any
             measurement.
     """
-    from drake_exo.files.output import Progress  # which reads by this module
-
     progress = Progress(f"reading {Path(path).name}")
     rows, blocks, count = iter(rows), [], 0
     while block := list(islice(rows, _BLOCK)):
