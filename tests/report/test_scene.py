@@ -1,9 +1,9 @@
-from ctypes.util import find_library
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from egl import draws
 
 from drake_exo.errors import InputError
 from drake_exo.model.assembly import Assembly, CuffLinks, DeviceFile, Person
@@ -18,9 +18,6 @@ from drake_exo.model.segments import scale_human
 from drake_exo.report import scene
 from drake_exo.report.scene import Scene
 
-draws = pytest.mark.skipif(
-    find_library("EGL") is None, reason="Drake draws with libEGL, not there"
-)
 HALFWAY_DEG, STANDING_DEG = (20.0, 60.0, 75.0), (0.0, 0.0, 0.0)
 
 

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from egl import drawn
 
 _FOLDER = Path(__file__).resolve().parents[2] / "examples"
 _SCRIPTS = sorted(_FOLDER.glob("*.py"))
@@ -26,7 +27,7 @@ def test_all_are_short_and_listed():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", _SCRIPTS, ids=[p.stem for p in _SCRIPTS])
+@pytest.mark.parametrize("path", map(drawn, _SCRIPTS))
 def test_runs_and_draws(path, tmp_path):
     done = subprocess.run(
         [sys.executable, "-W", "error", str(path), str(tmp_path)],

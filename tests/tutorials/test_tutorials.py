@@ -11,6 +11,7 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from egl import drawn
 
 import drake_exo as dx
 
@@ -66,11 +67,11 @@ def _run(folder, *command):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [path.name for path in _NOTEBOOKS])
-def test_runs(name, folder):
+@pytest.mark.parametrize("path", map(drawn, _NOTEBOOKS))
+def test_runs(path, folder):
     execute = Path(sys.executable).with_name("jupyter-execute")
-    _run(folder, execute, "--inplace", *_PATIENCE, name)
-    notebook = nbformat.read(folder / name, as_version=4)
+    _run(folder, execute, "--inplace", *_PATIENCE, path.name)
+    notebook = nbformat.read(folder / path.name, as_version=4)
     outputs = [o for cell in notebook.cells for o in cell.get("outputs", [])]
     said = [o.text for o in outputs if o.get("name") == "stderr"]
     for line in "".join(said).splitlines():
