@@ -27,7 +27,7 @@ def test_all_are_short_and_listed():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", map(drawn, _SCRIPTS))
+@pytest.mark.parametrize("path", [*map(drawn, _SCRIPTS)])
 def test_runs_and_draws(path, tmp_path):
     done = subprocess.run(
         [sys.executable, "-W", "error", str(path), str(tmp_path)],

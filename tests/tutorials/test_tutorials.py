@@ -67,7 +67,7 @@ def _run(folder, *command):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", map(drawn, _NOTEBOOKS))
+@pytest.mark.parametrize("path", [*map(drawn, _NOTEBOOKS)])
 def test_runs(path, folder):
     execute = Path(sys.executable).with_name("jupyter-execute")
     _run(folder, execute, "--inplace", *_PATIENCE, path.name)
