@@ -382,10 +382,13 @@ def _reduce(args) -> int:
         found = reduce_sole(samples, args.spheres, args.planar)
     found.write(args.out)
     where = "the plane" if args.planar else "space"
+    spin = ""
+    if not args.planar:
+        spin = f", friction's free moment {100 * found.spin_error:.0f} %"
     print(
         f"{args.spheres} spheres in {where}: force "
         f"{100 * found.force_error:.1f} % of the largest, centre of "
-        f"pressure {1e3 * found.cop_error:.1f} mm where loaded (RMS)"
+        f"pressure {1e3 * found.cop_error:.1f} mm where loaded{spin} (RMS)"
         f"{'' if found.is_near else ', too far: try more spheres'}; "
         f"{args.out}, every sample in {rows}"
     )

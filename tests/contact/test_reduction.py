@@ -75,7 +75,9 @@ def _truth(planar=False):
 def _samples(origin, R, force, cop):
     """Of a sole whose frame is above its middle."""
     friction = SimbodyConstants.static_friction
-    return SoleSamples(origin, R, force, cop, SIZE, np.zeros(2), friction)
+    return SoleSamples(
+        origin, R, force, cop, SIZE, np.zeros(2), friction, 0.07 + 0 * force
+    )
 
 
 def test_smoothing_of_a_centimetre_is_the_law_s_own():
