@@ -232,7 +232,10 @@ class SoleLaw:
                 s.modulus_n_m2, s.dissipation_s_m, x, z, s.radius_m, y
             )
         ground = GroundContact("simbody", spheres, self.constants, True)
-        return FootGroundContact_[float](frame.body().index(), ground)
+        system = FootGroundContact_[float](frame.body().index(), ground)
+        place = str(frame.scoped_name()).replace("::", "_")
+        system.set_name(f"{system.get_name()}_{place}")
+        return system
 
     def checks(self, where: str) -> tuple[Check, Check]:
         """Notes on how near the law, told of as `where`, is to its sole."""
