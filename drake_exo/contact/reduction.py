@@ -122,6 +122,8 @@ class SoleLaw:
         cop_error_rms_m: RMS error of the centre of pressure where loaded.
         spin_error_rms: RMS error of the largest free moment that friction
             bears, as share of its largest value; None if planar.
+        support_share: least reach of the spheres' support polygon from the
+            sole's middle, as share of its outline's there; None if planar.
 
     >>> from drake_exo.model.plant import nominal_model
     >>> two = {"heel": SoleSphere(2e7, x_m=-0.1, z_m=0.01),
@@ -141,6 +143,7 @@ class SoleLaw:
     force_error_rms: float = 0.0
     cop_error_rms_m: float = schema.quantity("m", 0.0)
     spin_error_rms: float | None = None
+    support_share: float | None = None
 
     def __post_init__(self):
         if len(self.spheres) < 2:
@@ -362,6 +365,23 @@ class Reduction:
         return float(np.sqrt(np.mean((spheres - sole) ** 2)) / sole.max())
 
     @property
+    def support_share(self) -> float | None:
+        """Least reach of the support polygon as share of the outline's.
+
+        Both are from the sole's middle, in the same direction; the outline is
+        the rectangle around the sole. Beyond the polygon a foot tips over.
+        Below 0 the middle is outside of it. None in the plane.
+        """
+        if self.planar:
+            return None
+        turn = np.linspace(0.0, 2 * np.pi, 361)
+        ways = np.stack([np.cos(turn), np.sin(turn)])
+        mine = self.samples
+        polygon = ((self.place[:, :2] - mine.middle) @ ways).max(axis=0)
+        outline = 0.5 * mine.size[:2] @ np.abs(ways)
+        return float((polygon / outline).min())
+
+    @property
     def is_near(self) -> bool:
         """Whether these RMS errors are within 3 % and 2 mm."""
         return self.force_error <= _FORCE and self.cop_error <= _COP_M
@@ -402,6 +422,7 @@ class Reduction:
             self.force_error,
             self.cop_error,
             self.spin_error,
+            self.support_share,
         )
 
     def write(self, path: Path | str) -> None:

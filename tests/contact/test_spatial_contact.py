@@ -323,7 +323,7 @@ def test_a_block_slides_to_rest_by_friction():
     np.testing.assert_allclose(
         rate, mu * GRAVITY * ahead[:2], atol=0.03 * mu * GRAVITY
     )
-    simulator.AdvanceTo(1.0 + speed / (mu * GRAVITY) + 0.2)
+    simulator.AdvanceTo(1.0 + speed / (mu * GRAVITY) + 0.8)
     way = box.EvalPoseInWorld(context).translation() - start
     distance = speed**2 / (2 * mu * GRAVITY)
     np.testing.assert_allclose(way, distance * ahead, atol=0.02 * distance)
