@@ -386,8 +386,8 @@ def _reduce(args) -> int:
     if not args.planar:
         spin = f", friction's free moment {100 * found.spin_error:.0f} %"
         support = (
-            f"; they support {100 * found.support_share:.0f} % of the way to "
-            "the sole's edge"
+            f"; they support {max(100 * found.support_share, 0.0):.0f} % of "
+            "the way to the sole's edge"
         )
     print(
         f"{args.spheres} spheres in {where}: force "
