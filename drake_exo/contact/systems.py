@@ -60,7 +60,7 @@ from drake_exo.errors import (
 )
 
 # Least cosine between a body's y axis and the world's: half a millimetre where
-# a sphere is half a metre from its link's origin.
+# a cuff is half a metre from its link's origin.
 _IN_PLANE = 0.999
 
 
@@ -207,7 +207,7 @@ def opposite_forces(T, pair, links, wrench) -> list:
     return entries
 
 
-class Turning(NamedTuple):
+class SpatialState(NamedTuple):
     """Pose and motion of a body in space, scalars in the world frame."""
 
     rotation: tuple  # three rows
@@ -227,23 +227,25 @@ class Turning(NamedTuple):
         return [a * x + b * y + c * z for a, b, c in columns]
 
 
-def _read_foot(system: LeafSystem, context, body: BodyIndex) -> Turning:
+def _read_foot(system: LeafSystem, context, body: BodyIndex) -> SpatialState:
     """State of a body, from the ports of `declare_force_ports`."""
     pose = system.GetInputPort("body_poses").Eval(context)[int(body)]
     motion = system.GetInputPort("body_spatial_velocities").Eval(context)
     rows = pose.GetAsMatrix34().tolist()
     V_WB = motion[int(body)].get_coeffs().tolist()
-    rotation = tuple(row[:3] for row in rows)
-    return Turning(rotation, tuple(row[3] for row in rows), V_WB[:3], V_WB[3:])
+    rotation, position = zip(*((r[:3], r[3]) for r in rows), strict=True)
+    return SpatialState(rotation, position, V_WB[:3], V_WB[3:])
 
 
 def _foot_contact(
-    law: Law, foot: Turning, sphere: ContactSphere, constants: Constants
+    law: Law,
+    foot: SpatialState,
+    sphere: ContactSphere,
+    constants: Constants,
 ) -> SpatialSphereWrench:
     """Contact force of the ground on a sphere of a foot."""
-    arm = foot.from_body((sphere.x, sphere.y, sphere.z))
+    arm = a_x, a_y, a_z = foot.from_body((sphere.x, sphere.y, sphere.z))
     center = [o + a for o, a in zip(foot.position, arm, strict=True)]
-    a_x, a_y, a_z = arm
     (v_x, v_y, v_z), (w_x, w_y, w_z) = foot.velocity, foot.angular_velocity
     velocity = (
         v_x + w_y * a_z - w_z * a_y,
