@@ -159,7 +159,7 @@ def connect_forces(
             body_poses and body_spatial_velocities, such as `SoleLaw.under`.
 
     Raises:
-        InputError: the plant's port is taken already.
+        InputError: the plant's port is taken already, or one is no system.
 
     >>> from pydrake.multibody.tree import SpatialInertia
     >>> from drake_exo.contact.parameters import ContactSphere, GroundContact
@@ -175,6 +175,8 @@ def connect_forces(
     >>> builder.Build().num_continuous_states()
     13
     """
+    for system in systems:
+        check_type(system, System, "a system of forces")
     into = plant.get_applied_spatial_force_input_port()
     if builder.IsConnectedOrExported(into):
         raise InputError(

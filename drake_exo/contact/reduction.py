@@ -208,6 +208,8 @@ class SoleLaw:
     def under(self, frame: Frame) -> LeafSystem:
         """The sole under a frame of any plant, on the ground z = 0.
 
+        A planar law holds a foot in the plane alone: its spheres are on a line.
+
         Args:
             frame: fixed in the foot; the sole's own frame lies there (x
                 forward, y left, z up, its origin in the sole's top).

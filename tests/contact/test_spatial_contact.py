@@ -500,6 +500,8 @@ def test_forces_are_connected_once():
     soles = [
         builder.AddSystem(sole_law().under(foot.body_frame())) for foot in feet
     ]
+    with pytest.raises(InputError, match="a system of forces is <RigidBody"):
+        connect_forces(builder, plant, feet)
     connect_forces(builder, plant, soles)
     with pytest.raises(InputError, match="connected already; give all"):
         connect_forces(builder, plant, soles)
