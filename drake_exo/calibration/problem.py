@@ -3,7 +3,7 @@
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -365,7 +365,7 @@ class PhaseProblem(Compiles, ABC):
     def sphere_values(self, contact: ContactModel, body: str) -> np.ndarray:
         """Parameters (m, 5) of the spheres under a segment."""
         spheres = contact.ground.spheres
-        return np.array([astuple(spheres[name]) for name in self.soles[body]])
+        return np.array([spheres[name].in_plane for name in self.soles[body]])
 
     def law_inputs(
         self, contact: ContactModel, body: str, q, v, wrench=None

@@ -382,11 +382,18 @@ def _reduce(args) -> int:
         found = reduce_sole(samples, args.spheres, args.planar)
     found.write(args.out)
     where = "the plane" if args.planar else "space"
+    spin = support = ""
+    if not args.planar:
+        spin = f", friction's free moment {100 * found.spin_error:.0f} %"
+        support = (
+            f"; they support {max(100 * found.support_share, 0.0):.0f} % of "
+            "the way to the sole's edge"
+        )
     print(
         f"{args.spheres} spheres in {where}: force "
         f"{100 * found.force_error:.1f} % of the largest, centre of "
-        f"pressure {1e3 * found.cop_error:.1f} mm where loaded (RMS)"
-        f"{'' if found.is_near else ', too far: try more spheres'}; "
+        f"pressure {1e3 * found.cop_error:.1f} mm where loaded{spin} (RMS)"
+        f"{'' if found.is_near else ', too far: try more spheres'}{support}; "
         f"{args.out}, every sample in {rows}"
     )
     return 0 if found.is_near else 1

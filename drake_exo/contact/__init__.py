@@ -9,6 +9,7 @@ __getattr__, __dir__, __all__ = drake_exo.on_demand(
     __name__,
     {
         "bushing": ["BushingParameters", "bushing_deflection", "bushing_force"],
+        "diagram": ["connect_forces"],
         "hunt_crossley": ["paper_stiffness", "sphere_force"],
         "parameters": ["ContactSphere", "GroundContact"],
         "reduction": ["SoleLaw", "reduce_sole"],

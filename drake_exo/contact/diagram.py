@@ -46,7 +46,8 @@ from drake_exo.errors import InputError, check_bounds, check_type, nearest
 from drake_exo.model.plant import Model
 
 # Ports of the plant that feed inputs of the same name.
-_PLANT_PORTS = ("body_poses", "body_spatial_velocities", "state")
+_BODY_PORTS = ("body_poses", "body_spatial_velocities")
+_PLANT_PORTS = (*_BODY_PORTS, "state")
 
 
 @dataclass(frozen=True)
@@ -144,6 +145,57 @@ def build_diagram(
     return ExoskeletonDiagram(
         builder.Build(), plant, contacts, bushings, controller
     )
+
+
+def connect_forces(
+    builder: DiagramBuilder, plant: MultibodyPlant, systems: Sequence[System]
+) -> None:
+    """Connects all systems that apply forces to the bodies of a plant.
+
+    Args:
+        builder: of the diagram; plant and systems are added to it.
+        plant: any; its port applied_spatial_force is taken.
+        systems: each has the output spatial_forces and any of the inputs
+            body_poses and body_spatial_velocities, such as `SoleLaw.under`.
+
+    Raises:
+        InputError: the plant's port is taken already, or one is no system.
+
+    >>> from pydrake.multibody.tree import SpatialInertia
+    >>> from drake_exo.contact.parameters import ContactSphere, GroundContact
+    >>> builder = DiagramBuilder()
+    >>> plant = builder.AddSystem(MultibodyPlant(0.0))
+    >>> box = SpatialInertia.SolidBoxWithMass(5.0, 0.3, 0.1, 0.1)
+    >>> foot = plant.AddRigidBody("foot", box)
+    >>> plant.Finalize()
+    >>> middle = ContactSphere(5e6, 2.0, x=0.0, z=-0.02, radius=0.03)
+    >>> contact = builder.AddSystem(FootGroundContact_[float](
+    ...     foot.index(), GroundContact("simbody", {"middle": middle})))
+    >>> connect_forces(builder, plant, [contact])
+    >>> builder.Build().num_continuous_states()
+    13
+    """
+    for system in systems:
+        check_type(system, System, "a system of forces")
+    into = plant.get_applied_spatial_force_input_port()
+    if builder.IsConnectedOrExported(into):
+        raise InputError(
+            "the plant's port applied_spatial_force is connected already; give "
+            "all systems that apply forces to connect_forces at once"
+        )
+    total = builder.AddNamedSystem(
+        "forces", ExternallyAppliedSpatialForceMultiplexer(len(systems))
+    )
+    for i, system in enumerate(systems):
+        builder.Connect(
+            system.GetOutputPort("spatial_forces"), total.get_input_port(i)
+        )
+        for name in _BODY_PORTS:
+            if system.HasInputPort(name):
+                builder.Connect(
+                    plant.GetOutputPort(name), system.GetInputPort(name)
+                )
+    builder.Connect(total.get_output_port(), into)
 
 
 def build_simulator(
@@ -336,16 +388,7 @@ def _connect(
     if bushing_system is not None:
         for name in ("interaction_forces", "deflections", "energies"):
             sources[name] = bushing_system.GetOutputPort(name)
-    total = builder.AddNamedSystem(
-        "forces", ExternallyAppliedSpatialForceMultiplexer(len(systems))
-    )
-    for i, system in enumerate(systems):
-        builder.Connect(
-            system.GetOutputPort("spatial_forces"), total.get_input_port(i)
-        )
-    builder.Connect(
-        total.get_output_port(), plant.get_applied_spatial_force_input_port()
-    )
+    connect_forces(builder, plant, systems)
     torques = builder.AddSystem(JointTorques_[float](plant.num_velocities()))
     builder.Connect(
         torques.get_output_port(),
@@ -369,10 +412,12 @@ def _connect(
     for system in systems:
         for i in range(system.num_input_ports()):
             port = system.get_input_port(i)
+            if builder.IsConnectedOrExported(port):
+                continue
             if port.get_name() in sources:
                 builder.Connect(sources[port.get_name()], port)
             else:
                 builder.ExportInput(port, port.get_name())
     for name, port in sources.items():
-        if name not in ("body_poses", "body_spatial_velocities"):
+        if name not in _BODY_PORTS:
             builder.ExportOutput(port, name)

@@ -13,8 +13,9 @@ with one is wrong in the other.
     plane-strain modulus E in N/m².
 
 Signs: indentation is positive inside the ground, its rate is positive while
-the sphere sinks, slip velocity is along world x, normal force is along world
-z, friction along world x.
+the sphere sinks, normal force is along world z. Slip velocity and friction are
+along world x; in space friction is against the velocity of the contact point
+along world x and y, its size by the smoothed length of that velocity.
 
 First come the constants; their fields' metadata give unit and bounds, so that a
 study file is read straight into them. Then the laws: pure functions that
@@ -137,6 +138,26 @@ class SphereWrench(NamedTuple):
         return self.force_x, self.force_z, moment
 
 
+class SpatialSphereWrench(NamedTuple):
+    """Contact force on a sphere in space and the point where it acts."""
+
+    force: tuple  # F_x, F_y, F_z in the world [N]
+    point: tuple  # x, y, z in the world [m]
+
+    @property
+    def in_plane(self) -> SphereWrench:
+        """Its components in the x–z plane."""
+        (f_x, _, f_z), (x, _, z) = self
+        return SphereWrench(f_x, f_z, x, z)
+
+    @property
+    def about_origin(self) -> tuple:
+        """Moment about the world's origin [N·m] and force [N], six scalars."""
+        (f_x, f_y, f_z), (x, y, z) = self
+        moment = y * f_z - z * f_y, z * f_x - x * f_z, x * f_y - y * f_x
+        return *moment, f_x, f_y, f_z
+
+
 def paper_stiffness(modulus):
     """The paper's k for a plane-strain modulus E [N/m²]: ½ E^(2/3).
 
@@ -197,13 +218,14 @@ def _simbody_normal(x, x_dot, modulus, c, r, p: SimbodyConstants):
     return hertz * damping * gate(p.hunt_crossley_smoothing, shifted)
 
 
-def slip_speed(law: Law, slip_velocity, constants: Constants):
-    """Smoothed |slip velocity| [m/s], positive also at rest."""
+def slip_speed(law: Law, slip_velocity, constants: Constants, sideways=0.0):
+    """Smoothed length [m/s] of a slip velocity, positive also at rest."""
     if law == "paper":
         square = constants.slip_smoothing * constants.slip_smoothing
     else:
         square = constants.constant_contact_force
-    return sqrt(slip_velocity * slip_velocity + square)
+    along = slip_velocity * slip_velocity
+    return sqrt(along + sideways * sideways + square)
 
 
 def friction_coefficient(law: Law, speed, constants: Constants):
@@ -275,24 +297,28 @@ def sphere_force(
     >>> round(float(normal)), round(float(friction))
     (183, -155)
     """
-    return _force(
+    normal, friction, _ = _force(
         law,
         indentation,
         rate,
-        slip_velocity,
+        (slip_velocity, 0.0),
         stiffness,
         dissipation,
         radius,
         checked_constants(law, constants),
     )
+    return normal, friction
 
 
 def _force(law, x, x_dot, slip_velocity, k, c, r, constants: Constants):
+    """Normal force, and friction along the two parts of the slip velocity."""
     normal_force = _paper_normal if law == "paper" else _simbody_normal
     normal = normal_force(x, x_dot, k, c, r, constants)
-    speed = slip_speed(law, slip_velocity, constants)
+    along, sideways = slip_velocity
+    speed = slip_speed(law, along, constants, sideways)
     mu = friction_coefficient(law, speed, constants)
-    return normal, -normal * mu * (slip_velocity / speed)
+    pull = -normal * mu
+    return normal, pull * (along / speed), pull * (sideways / speed)
 
 
 def checked_constants(law: Law, constants: Constants | None) -> Constants:
@@ -365,17 +391,54 @@ def sphere_wrench(
     """
     indentation = radius - center_z
     arm = contact_arm(law, indentation, radius)
-    normal, friction = _force(
+    normal, friction, _ = _force(
         law,
         indentation,
         -velocity_z,
-        velocity_x + arm * pitch_rate,
+        (velocity_x + arm * pitch_rate, 0.0),
         stiffness,
         dissipation,
         radius,
         checked_constants(law, constants),
     )
     return SphereWrench(friction, normal, center_x, center_z - arm)
+
+
+@any_scalar
+def spatial_sphere_wrench(
+    law: Law,
+    center,
+    velocity,
+    angular_velocity,
+    stiffness,
+    dissipation,
+    radius,
+    constants: Constants,
+) -> SpatialSphereWrench:
+    """`sphere_wrench` of a body that moves in space.
+
+    Args:
+        law: "paper" or "simbody".
+        center: x, y, z of the sphere's centre in the world [m].
+        velocity: of the centre, in the world [m/s].
+        angular_velocity: of the body, in the world [rad/s].
+        stiffness, dissipation, radius, constants: As in `sphere_force`.
+    """
+    (x, y, z), (v_x, v_y, v_z) = center, velocity
+    w_x, w_y, _ = angular_velocity
+    indentation = radius - z
+    arm = contact_arm(law, indentation, radius)
+    normal, along, sideways = _force(
+        law,
+        indentation,
+        -v_z,
+        (v_x - arm * w_y, v_y + arm * w_x),
+        stiffness,
+        dissipation,
+        radius,
+        constants,
+    )
+    return SpatialSphereWrench((along, sideways, normal), (x, y, z - arm))
 
 
 def _gate(sharpness, value):

@@ -6,7 +6,7 @@ prediction. Its scalars have names such as "heel.stiffness" or
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -107,7 +107,8 @@ class ContactSphere:
     """A sphere fixed in a link; fields may also hold Drake's scalars.
 
     `stiffness` is k = ½ E^(2/3) for the law "paper" and E in N/m² for
-    "simbody"; `x` and `z` place the centre in the link's frame.
+    "simbody"; `x`, `y` and `z` place the centre in the link's frame. A model
+    in the plane leaves `y` out.
 
     >>> ContactSphere(5e6, 2.0, x=-0.05, z=-0.04, radius=0.032).radius
     0.032
@@ -118,10 +119,16 @@ class ContactSphere:
     x: float = quantity("m")
     z: float = quantity("m")
     radius: float = quantity("m", above=0.0)
+    y: float = quantity("m", 0.0)
+
+    @property
+    def in_plane(self) -> tuple:
+        """Values of SPHERE_PARAMETERS."""
+        return tuple(getattr(self, name) for name in SPHERE_PARAMETERS)
 
 
-# A sphere's fields in the order of arrays and of Drake's numeric parameters.
-SPHERE_PARAMETERS = tuple(f.name for f in fields(ContactSphere))
+# What a model in the plane knows of a sphere, in the order of its arrays.
+SPHERE_PARAMETERS = ("stiffness", "dissipation", "x", "z", "radius")
 
 
 @dataclass(frozen=True)

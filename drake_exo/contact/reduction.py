@@ -5,6 +5,7 @@ many poses. Spheres of the law "simbody", at rest in the same poses, are fitted
 to both by least squares, in the plane (pitch, forward) or in space. Friction
 is not fitted: the force of a sticking sole depends on where it stuck, which a
 law of slip velocity cannot represent. Both slip at the same coefficient μ.
+What free moment friction bears follows from where the spheres are, and is told.
 """
 
 from dataclasses import dataclass, field, replace
@@ -12,6 +13,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from pydrake.multibody.tree import Frame
+from pydrake.systems.framework import LeafSystem
 from scipy.optimize import least_squares
 
 from drake_exo.contact.hunt_crossley import (
@@ -24,7 +27,8 @@ from drake_exo.contact.parameters import (
     ContactSphere,
     GroundContact,
 )
-from drake_exo.errors import InputError, check_count, path_of
+from drake_exo.contact.systems import FootGroundContact_
+from drake_exo.errors import InputError, check_count, check_type, path_of
 from drake_exo.files import schema
 from drake_exo.files.output import Check, write_csv
 from drake_exo.model.assembly import Person
@@ -116,6 +120,10 @@ class SoleLaw:
         planar: whether fitted in the plane, without y and roll.
         force_error_rms: RMS error of the force as share of the largest force.
         cop_error_rms_m: RMS error of the centre of pressure where loaded.
+        spin_error_rms: RMS error of the largest free moment that friction
+            bears, as share of its largest value; None if planar.
+        support_share: least reach of the spheres' support polygon from the
+            sole's middle, as share of its outline's there; None if planar.
 
     >>> from drake_exo.model.plant import nominal_model
     >>> two = {"heel": SoleSphere(2e7, x_m=-0.1, z_m=0.01),
@@ -134,6 +142,8 @@ class SoleLaw:
     planar: bool = False
     force_error_rms: float = 0.0
     cop_error_rms_m: float = schema.quantity("m", 0.0)
+    spin_error_rms: float | None = None
+    support_share: float | None = None
 
     def __post_init__(self):
         if len(self.spheres) < 2:
@@ -189,6 +199,48 @@ class SoleLaw:
                 "foot_ground.law: the law of a sole is that of a rigid foot; "
                 "set model.human.toes to rigid"
             )
+
+    def mirrored(self) -> "SoleLaw":
+        """The law of the other foot's sole: left and right exchanged."""
+        spheres = {n: replace(s, y_m=-s.y_m) for n, s in self.spheres.items()}
+        return replace(self, spheres=spheres)
+
+    def under(self, frame: Frame) -> LeafSystem:
+        """The sole under a frame of any plant, on the ground z = 0.
+
+        A planar law holds a foot in the plane alone: its spheres are on a line.
+
+        Args:
+            frame: fixed in the foot; the sole's own frame lies there (x
+                forward, y left, z up, its origin in the sole's top).
+
+        Returns:
+            `FootGroundContact`, which `connect_forces` joins to the plant.
+
+        >>> from pydrake.multibody.plant import MultibodyPlant
+        >>> from pydrake.multibody.tree import SpatialInertia
+        >>> plant = MultibodyPlant(0.0)
+        >>> box = SpatialInertia.SolidBoxWithMass(5.0, 0.3, 0.1, 0.1)
+        >>> foot = plant.AddRigidBody("foot", box)
+        >>> two = {"heel": SoleSphere(2e7, x_m=-0.1, z_m=0.01),
+        ...        "ball": SoleSphere(3e7, x_m=0.1, z_m=0.01)}
+        >>> system = SoleLaw((0.26, 0.1, 0.022), two).under(foot.body_frame())
+        >>> system.parameters().spheres["ball"].x
+        0.1
+        """
+        check_type(frame, Frame, "frame")
+        X_BF = frame.GetFixedPoseInBodyFrame()
+        spheres = {}
+        for name, s in self.spheres.items():
+            x, y, z = (X_BF @ np.array([s.x_m, s.y_m, s.z_m])).tolist()
+            spheres[name] = ContactSphere(
+                s.modulus_n_m2, s.dissipation_s_m, x, z, s.radius_m, y
+            )
+        ground = GroundContact("simbody", spheres, self.constants, True)
+        system = FootGroundContact_[float](frame.body().index(), ground)
+        place = str(frame.scoped_name()).replace("::", "_")
+        system.set_name(f"{system.get_name()}_{place}")
+        return system
 
     def checks(self, where: str) -> tuple[Check, Check]:
         """Notes on how near the law, told of as `where`, is to its sole."""
@@ -261,6 +313,7 @@ class Reduction:
         interval: 95 % half-widths of log stiffness and place [m], (S, 4).
         force: vertical force of the spheres at each sample [N], (N,).
         cop: centre of pressure of the spheres [m], (N, 2).
+        arm: mean distance of their force from it [m], (N,).
     """
 
     samples: NamedTuple
@@ -271,6 +324,7 @@ class Reduction:
     interval: np.ndarray
     force: np.ndarray
     cop: np.ndarray
+    arm: np.ndarray
 
     def __repr__(self) -> str:
         # Without the arrays: a notebook prints this for its last line.
@@ -294,12 +348,48 @@ class Reduction:
         return float(np.sqrt((off**2).sum(axis=1).mean()))
 
     @property
+    def _spins(self) -> tuple[np.ndarray, np.ndarray]:
+        """Largest free moment [N m] that friction bears: sole, spheres."""
+        mine = self.samples
+        mu = mine.friction
+        return mu * mine.force * mine.arm, mu * self.force * self.arm
+
+    @property
+    def spin_error(self) -> float | None:
+        """RMS error of the largest free moment as share of the sole's largest.
+
+        It is the moment at which the sole turns about its centre of pressure.
+        None in the plane.
+        """
+        if self.planar:
+            return None
+        sole, spheres = self._spins
+        return float(np.sqrt(np.mean((spheres - sole) ** 2)) / sole.max())
+
+    @property
+    def support_share(self) -> float | None:
+        """Least reach of the support polygon as share of the outline's.
+
+        Both are from the sole's middle, in the same direction; the outline is
+        the rectangle around the sole. Beyond the polygon a foot tips over.
+        Below 0 the middle is outside of it. None in the plane.
+        """
+        if self.planar:
+            return None
+        turn = np.linspace(0.0, 2 * np.pi, 361)
+        ways = np.stack([np.cos(turn), np.sin(turn)])
+        mine = self.samples
+        polygon = ((self.place[:, :2] - mine.middle) @ ways).max(axis=0)
+        outline = 0.5 * mine.size[:2] @ np.abs(ways)
+        return float((polygon / outline).min())
+
+    @property
     def is_near(self) -> bool:
         """Whether these RMS errors are within 3 % and 2 mm."""
         return self.force_error <= _FORCE and self.cop_error <= _COP_M
 
     def table(self) -> dict[str, np.ndarray]:
-        """Columns (N,): force and CoP of the sole and of the spheres."""
+        """Columns (N,): force, CoP and, in space, the largest free moment."""
         mine = self.samples
         columns = {
             "force_n": mine.force,
@@ -310,6 +400,7 @@ class Reduction:
         if not self.planar:
             columns["cop_y_m"] = mine.cop[:, 1]
             columns["cop_y_spheres_m"] = self.cop[:, 1]
+            columns["spin_n_m"], columns["spin_spheres_n_m"] = self._spins
         return columns | {"loaded": loaded(mine).astype(int)}
 
     @property
@@ -332,6 +423,8 @@ class Reduction:
             self.planar,
             self.force_error,
             self.cop_error,
+            self.spin_error,
+            self.support_share,
         )
 
     def write(self, path: Path | str) -> None:
@@ -360,6 +453,14 @@ def borne(samples: NamedTuple, stiffness, place, constants):
     Returns:
         Sum of the vertical forces (N,) [N], centre of pressure (N, 2) [m].
     """
+    normal, centre = _pressed(samples, stiffness, place, constants)
+    total = normal.sum(axis=1)
+    cop = np.einsum("ns,nsi->ni", normal, centre[..., :2])
+    return total, cop / np.maximum(total, 1e-9)[:, None]
+
+
+def _pressed(samples: NamedTuple, stiffness, place, constants):
+    """Vertical force (N, S) and centre (N, S, 3) of each sphere."""
     turned = place @ np.swapaxes(samples.rotation, 1, 2)
     centre = samples.origin[:, None] + turned
     depth, rest = CONTACT_RADIUS_M - centre[..., 2], np.zeros(centre.shape[:2])
@@ -367,9 +468,15 @@ def borne(samples: NamedTuple, stiffness, place, constants):
         "simbody", depth, rest, rest, stiffness, 0.0, CONTACT_RADIUS_M,
         constants,
     )  # fmt: skip
-    total = normal.sum(axis=1)
-    cop = np.einsum("ns,nsi->ni", normal, centre[..., :2])
-    return total, cop / np.maximum(total, 1e-9)[:, None]
+    return normal, centre
+
+
+def _arm(samples: NamedTuple, cop, *spheres) -> np.ndarray:
+    """Mean distance of spheres' force from the centre of pressure (N,) [m]."""
+    normal, centre = _pressed(samples, *spheres)
+    away = np.linalg.norm(centre[..., :2] - cop[:, None], axis=2)
+    total = np.maximum(normal.sum(axis=1), 1e-9)
+    return (normal * away).sum(axis=1) / total
 
 
 def reduce_sole(
@@ -463,8 +570,9 @@ def reduce_sole(
     half = np.zeros((spheres, 4))
     width = np.minimum(_SD * _deviations(best), high - low)
     half[:, columns] = width[1:].reshape(spheres, -1)
-    told = borne(samples, *found)
-    return Reduction(samples, planar, *found, half * scale, *told)
+    force, cop = borne(samples, *found)
+    arm = _arm(samples, cop, *found)
+    return Reduction(samples, planar, *found, half * scale, force, cop, arm)
 
 
 def _deviations(best) -> np.ndarray:

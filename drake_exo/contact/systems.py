@@ -1,9 +1,9 @@
 """LeafSystems for a diagram: contacts, the chair and controllers of joints.
 
 Contacts are those of foot with ground and human with device; the chair applies
-a measured wrench. A planar pose is (x, z, angle), a planar motion (v_x, v_z,
-rate): x forward, z up, angle toes-up positive (counter-clockwise seen from the
-right, about world −y).
+a measured wrench. The foot moves in space, all others in the plane. A planar
+pose is (x, z, angle), a planar motion (v_x, v_z, rate): x forward, z up, angle
+toes-up positive (counter-clockwise seen from the right, about world −y).
 
 `TrackingController` follows a reference. `AssistController` is an example of
 an assist controller for predictions: a LeafSystem without state, with the
@@ -15,7 +15,7 @@ into the optimisation itself.
 
 import functools
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import astuple
 from typing import NamedTuple
 
@@ -47,8 +47,8 @@ from drake_exo.contact.bushing import (
 from drake_exo.contact.hunt_crossley import (
     Constants,
     Law,
-    SphereWrench,
-    sphere_wrench,
+    SpatialSphereWrench,
+    spatial_sphere_wrench,
 )
 from drake_exo.contact.parameters import ContactSphere, GroundContact
 from drake_exo.contact.scalars import arctan2, sin
@@ -60,7 +60,7 @@ from drake_exo.errors import (
 )
 
 # Least cosine between a body's y axis and the world's: half a millimetre where
-# a sphere is half a metre from its link's origin.
+# a cuff is half a metre from its link's origin.
 _IN_PLANE = 0.999
 
 
@@ -207,46 +207,61 @@ def opposite_forces(T, pair, links, wrench) -> list:
     return entries
 
 
-def foot_contact(
-    law: Law, position, direction, motion, spheres, constants: Constants
-) -> SphereWrench:
-    """Contact wrench of a sphere on a planar body, or of many.
+class SpatialState(NamedTuple):
+    """Pose and motion of a body in space, scalars in the world frame."""
 
-    Args:
-        law: "paper" or "simbody".
-        position, direction, motion: of the body, (x, z), (cosine, sine) and
-            (v_x, v_z, rate), entries of any common shape (...).
-        spheres: values of SPHERE_PARAMETERS, of shapes that broadcast.
-        constants: of the law.
+    rotation: tuple  # three rows
+    position: tuple  # of its origin [m]
+    angular_velocity: tuple  # [rad/s]
+    velocity: tuple  # of its origin [m/s]
 
-    Returns:
-        Entries of shape (...).
-    """
-    stiffness, dissipation, x, z, radius = spheres
-    (c, s), (v_x, v_z, rate) = direction, motion
-    center_x = position[0] + c * x - s * z
-    center_z = position[1] + s * x + c * z
-    return sphere_wrench(
+    def from_body(self, vector) -> list:
+        """A vector given in the body's frame, in the world's."""
+        x, y, z = vector
+        return [a * x + b * y + c * z for a, b, c in self.rotation]
+
+    def to_body(self, vector) -> list:
+        """A vector given in the world's frame, in the body's."""
+        x, y, z = vector
+        columns = zip(*self.rotation, strict=True)
+        return [a * x + b * y + c * z for a, b, c in columns]
+
+
+def _read_foot(system: LeafSystem, context, body: BodyIndex) -> SpatialState:
+    """State of a body, from the ports of `declare_force_ports`."""
+    pose = system.GetInputPort("body_poses").Eval(context)[int(body)]
+    motion = system.GetInputPort("body_spatial_velocities").Eval(context)
+    rows = pose.GetAsMatrix34().tolist()
+    V_WB = motion[int(body)].get_coeffs().tolist()
+    rotation, position = zip(*((r[:3], r[3]) for r in rows), strict=True)
+    return SpatialState(rotation, position, V_WB[:3], V_WB[3:])
+
+
+def _foot_contact(
+    law: Law,
+    foot: SpatialState,
+    sphere: ContactSphere,
+    constants: Constants,
+) -> SpatialSphereWrench:
+    """Contact force of the ground on a sphere of a foot."""
+    arm = a_x, a_y, a_z = foot.from_body((sphere.x, sphere.y, sphere.z))
+    center = [o + a for o, a in zip(foot.position, arm, strict=True)]
+    (v_x, v_y, v_z), (w_x, w_y, w_z) = foot.velocity, foot.angular_velocity
+    velocity = (
+        v_x + w_y * a_z - w_z * a_y,
+        v_y + w_z * a_x - w_x * a_z,
+        v_z + w_x * a_y - w_y * a_x,
+    )
+    return spatial_sphere_wrench(
         law,
-        center_x,
-        center_z,
-        v_x - rate * (center_z - position[1]),
-        v_z + rate * (center_x - position[0]),
-        rate,
-        stiffness,
-        dissipation,
-        radius,
+        center,
+        velocity,
+        foot.angular_velocity,
+        sphere.stiffness,
+        sphere.dissipation,
+        sphere.radius,
         constants,
     )
-
-
-def ground_reaction(wrenches: Sequence[SphereWrench]) -> list:
-    """F_x, F_z [N] and M_y about the world's origin [N·m], summed over spheres.
-
-    M_y = z F_x − x F_z, so the centre of pressure on z = 0 is −M_y/F_z.
-    """
-    parts = zip(*(w.about_origin for w in wrenches), strict=True)
-    return [sum(values[1:], values[0]) for values in parts]
 
 
 def _index_of(body, what: str) -> BodyIndex:
@@ -270,33 +285,34 @@ def FootGroundContact_(T):
     """See `FootGroundContact`."""
 
     class Impl(LeafSystem_[T]):
-        """Smooth Hunt–Crossley contact of spheres on the foot with z = 0.
+        """Smooth Hunt–Crossley contact of spheres on a foot with z = 0.
+
+        For a link of any plant: it may turn and move in the plane or in space.
 
         Inputs, to be connected to the plant's ports of the same name:
             body_poses, body_spatial_velocities.
         Outputs:
             spatial_forces: for a plant's applied_spatial_force port; Drake's
                 ExternallyAppliedSpatialForceMultiplexer joins several.
-            ground_reaction: F_x, F_z [N] on the foot and the moment
-                M_y = z F_x − x F_z about the world's origin [N·m], summed
-                over spheres.
+            spatial_reaction: M_x, M_y, M_z about the world's origin [N·m],
+                F_x, F_y, F_z [N] on the foot, summed over spheres.
+            ground_reaction: F_x, F_z and M_y of it, all there is in the plane;
+                M_y = z F_x − x F_z.
             sphere_wrenches: F_x, F_z [N], contact point x, z [m], by sphere.
         Numeric parameters:
-            a vector for each sphere (SPHERE_PARAMETERS), then one with the
-            law's constants (in the order of their fields).
+            a vector for each sphere, then one with the law's constants (both
+            in the order of their fields).
 
         Args of the constructor:
             body: index of the foot link in the plant.
             parameters: `GroundContact`; a context starts with these values.
 
-        Outputs raise InputError where the link's y axis leaves the world's.
-
         >>> from drake_exo.contact.parameters import ContactSphere
         >>> heel = ContactSphere(5e6, 2.0, x=-0.05, z=-0.04, radius=0.032)
         >>> contact = FootGroundContact(
         ...     BodyIndex(1), GroundContact("simbody", {"heel": heel}))
-        >>> contact.GetOutputPort("ground_reaction").size()
-        3
+        >>> contact.GetOutputPort("spatial_reaction").size()
+        6
         """
 
         def _construct(
@@ -319,6 +335,9 @@ def FootGroundContact_(T):
                 "ground_reaction", 3, self._calc_ground_reaction
             )
             self.DeclareVectorOutputPort(
+                "spatial_reaction", 6, self._calc_spatial_reaction
+            )
+            self.DeclareVectorOutputPort(
                 "sphere_wrenches",
                 4 * len(parameters.spheres),
                 self._calc_sphere_wrenches,
@@ -333,13 +352,9 @@ def FootGroundContact_(T):
             """Parameters in a context, or those of the construction."""
             if context is None:
                 return self._parameters
-            vectors, constants = self._held(context)
-            spheres = zip(self._parameters.spheres, vectors, strict=True)
-            return GroundContact(
-                self._parameters.law,
-                {name: ContactSphere(*vector) for name, vector in spheres},
-                constants,
-            )
+            spheres, constants = self._held(context)
+            named = zip(self._parameters.spheres, spheres, strict=True)
+            return GroundContact(self._parameters.law, dict(named), constants)
 
         def set_parameters(self, context, parameters: GroundContact) -> None:
             """Writes parameters of the same law and spheres into a context.
@@ -362,43 +377,59 @@ def FootGroundContact_(T):
                     np.array(astuple(values))
                 )
 
-        def _held(self, context) -> tuple[list[list], Constants]:
-            """Values of each sphere and the constants, from a context."""
+        def _held(self, context) -> tuple[list[ContactSphere], Constants]:
+            """Spheres and constants, from a context."""
             *spheres, constants = (
                 context.get_numeric_parameter(i).CopyToVector().tolist()
                 for i in range(len(self._parameters.spheres) + 1)
             )
-            return spheres, type(self._parameters.constants)(*constants)
+            return (
+                [ContactSphere(*values) for values in spheres],
+                type(self._parameters.constants)(*constants),
+            )
 
         def _calc_values(self, context, output):
             output.set_value(self._held(context))
 
         def _calc_wrenches(self, context, output):
-            (foot,) = read_bodies(self, context, [self._body])
+            foot = _read_foot(self, context, self._body)
             spheres, constants = self._values.Eval(context)
             wrenches = [
-                foot_contact(self._parameters.law, *foot, sphere, constants)
+                _foot_contact(self._parameters.law, foot, sphere, constants)
                 for sphere in spheres
             ]
             output.set_value((foot, wrenches))
 
         def _calc_spatial_forces(self, context, output):
             foot, wrenches = self._wrenches.Eval(context)
-            output.set_value(
-                [
-                    applied_force(T, self._body, foot, (x, z), force)
-                    for *force, x, z in wrenches
-                ]
-            )
+            Entry, Force = _force_types(T)
+            entries = []
+            for force, point in wrenches:
+                arm = (p - o for p, o in zip(point, foot.position, strict=True))
+                entry = Entry()
+                entry.body_index = self._body
+                entry.p_BoBq_B = np.array(foot.to_body(arm))
+                entry.F_Bq_W = Force(F=np.array([0.0, 0.0, 0.0, *force]))
+                entries.append(entry)
+            output.set_value(entries)
+
+        def _reaction(self, context) -> list:
+            """`about_origin` [N·m, N], summed over spheres."""
+            wrenches = self._wrenches.Eval(context)[1]
+            parts = zip(*(w.about_origin for w in wrenches), strict=True)
+            return [sum(values[1:], values[0]) for values in parts]
+
+        def _calc_spatial_reaction(self, context, output):
+            output.SetFromVector(self._reaction(context))
 
         def _calc_ground_reaction(self, context, output):
-            output.SetFromVector(
-                ground_reaction(self._wrenches.Eval(context)[1])
-            )
+            _, M_y, _, F_x, _, F_z = self._reaction(context)
+            output.SetFromVector([F_x, F_z, M_y])
 
         def _calc_sphere_wrenches(self, context, output):
             wrenches = self._wrenches.Eval(context)[1]
-            output.SetFromVector([x for wrench in wrenches for x in wrench])
+            parts = [x for wrench in wrenches for x in wrench.in_plane]
+            output.SetFromVector(parts)
 
     return Impl
 

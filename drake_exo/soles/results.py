@@ -743,6 +743,8 @@ class SoleSamples(NamedTuple):
         size: Length, width and depth of the sole below its frame [m], (3,).
         middle: Middle of the sole in its frame, forward and left [m], (2,).
         friction: Coulomb's coefficient μ.
+        arm: Mean distance of the force from its centre of pressure [m], (N,).
+            Friction bears a free moment up to about μ force arm.
     """
 
     origin: np.ndarray
@@ -752,6 +754,7 @@ class SoleSamples(NamedTuple):
     size: np.ndarray
     middle: np.ndarray
     friction: float
+    arm: np.ndarray
 
     def __repr__(self) -> str:
         # Without the arrays: a notebook prints this for its last line.
@@ -798,11 +801,13 @@ def sole_samples(source: Step | Path | str) -> SoleSamples:
         raise InputError(f"{name}: does not say the friction; {remedy}")
     up, P, nodes = history.F[good, :, 2], history.P[good], mesh.nodes
     force = up.sum(axis=1)
-    cop = np.einsum("qm,qmi->qi", up / force[:, None], P[:, :, :2])
+    share = up / force[:, None]
+    cop = np.einsum("qm,qmi->qi", share, P[:, :, :2])
+    away = np.linalg.norm(P[:, :, :2] - cop[:, None], axis=2)
     low, high = nodes.min(axis=0), nodes.max(axis=0)
     size = np.array([*(high - low)[:2], -low[2]])
     middle = 0.5 * (low + high)[:2]
     return SoleSamples(
         history.O[good], history.R[good], force, cop, size, middle,
-        history.friction,
+        history.friction, (share * away).sum(axis=1),
     )  # fmt: skip

@@ -6,7 +6,7 @@ seat-off. The foot stands on soles in a frame that is level in quiet standing.
 """
 
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -21,16 +21,18 @@ from drake_exo.contact.bushing import (
     bushing_wrench,
 )
 from drake_exo.contact.hunt_crossley import (
+    Constants,
+    Law,
     SimbodyConstants,
     SphereWrench,
     hertz_factor,
+    sphere_wrench,
 )
 from drake_exo.contact.parameters import ContactSphere, GroundContact
 from drake_exo.contact.scalars import sqrt
 from drake_exo.contact.systems import (
     applied_force,
     declare_force_ports,
-    foot_contact,
     opposite_forces,
     planar_poses,
     read_bodies,
@@ -135,6 +137,39 @@ class Cuffs(LeafSystem):
         output.set_value(entries)
 
 
+def foot_contact(
+    law: Law, position, direction, motion, spheres, constants: Constants
+) -> SphereWrench:
+    """Contact wrench of a sphere on a planar body, or of many.
+
+    Args:
+        law: "paper" or "simbody".
+        position, direction, motion: of the body, (x, z), (cosine, sine) and
+            (v_x, v_z, rate), entries of any common shape (...).
+        spheres: values of SPHERE_PARAMETERS, of shapes that broadcast.
+        constants: of the law.
+
+    Returns:
+        Entries of shape (...).
+    """
+    stiffness, dissipation, x, z, radius = spheres
+    (c, s), (v_x, v_z, rate) = direction, motion
+    center_x = position[0] + c * x - s * z
+    center_z = position[1] + s * x + c * z
+    return sphere_wrench(
+        law,
+        center_x,
+        center_z,
+        v_x - rate * (center_z - position[1]),
+        v_z + rate * (center_x - position[0]),
+        rate,
+        stiffness,
+        dissipation,
+        radius,
+        constants,
+    )
+
+
 # The part of the pelvis that sits, in the pelvis link; it and the seat as one.
 BUTTOCKS = ContactSphere(2.5e6, 1.0, x=-0.03, z=-0.06, radius=0.07)
 _LAW = "simbody"
@@ -159,7 +194,7 @@ def seat_wrench(seat: float, position, direction, motion) -> SphereWrench:
     Returns:
         Entries of shape (...).
     """
-    sphere, above = astuple(BUTTOCKS), (position[0], position[1] - seat)
+    sphere, above = BUTTOCKS.in_plane, (position[0], position[1] - seat)
     wrench = foot_contact(_LAW, above, direction, motion, sphere, _CONSTANTS)
     return wrench._replace(point_z=wrench.point_z + seat)
 
@@ -212,7 +247,7 @@ def ground_wrench(
         position[:, :, None],
         np.array([np.cos(angle), np.sin(angle)])[:, :, None],
         motion[:, :, None],
-        np.array([astuple(s) for s in contact.spheres.values()]).T[:, None],
+        np.array([s.in_plane for s in contact.spheres.values()]).T[:, None],
         contact.constants,
     )
     return _total(wrench)

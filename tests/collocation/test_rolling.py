@@ -84,7 +84,7 @@ def rolling():
 
 
 def law(kernel, q, v):
-    values = [[*vars(s).values()] for s in SPHERES.values()]
+    values = [s.in_plane for s in SPHERES.values()]
     rows = np.tile(np.ravel(values), (len(q), 1))
     x = np.hstack([q, v, 0.0 * q, rows])
     return kernel.wrench(x)
@@ -93,7 +93,7 @@ def law(kernel, q, v):
 def settled():
     """The kernel; a foot and its load as measured; as it is settled."""
     kernel = FootGroundKernel(GroundContact("simbody", SPHERES))
-    spheres = np.array([[*vars(s).values()] for s in SPHERES.values()])
+    spheres = np.array([s.in_plane for s in SPHERES.values()])
     places = np.broadcast_to(spheres[:, 2:4], (len(TIMES), 2, 2))
     foot, ground = rolling()
     q, v = settle_rolling(kernel, spheres, places, TIMES, foot, ground)
@@ -152,7 +152,7 @@ def test_a_foot_turns_towards_where_its_load_was_measured():
 
 def test_a_foot_in_the_air_is_just_clear_of_the_ground():
     kernel = FootGroundKernel(GroundContact("simbody", SPHERES))
-    spheres = np.array([[*vars(s).values()] for s in SPHERES.values()])
+    spheres = np.array([s.in_plane for s in SPHERES.values()])
     places = np.broadcast_to(spheres[:, 2:4], (len(TIMES), 2, 2))
     foot = np.zeros((len(TIMES), 3))
     foot[:, 1] = np.linspace(0.05, 0.15, len(TIMES))  # soles at 0.092
@@ -214,7 +214,7 @@ def test_offsets_fade_from_the_nearest_loaded_sample():
 def test_slip_that_gives_a_force(force_x):
     """Of two spheres together; beyond friction it is as fast as may be."""
     kernel = FootGroundKernel(GroundContact("simbody", SPHERES))
-    spheres = np.array([[*vars(s).values()] for s in SPHERES.values()])
+    spheres = np.array([s.in_plane for s in SPHERES.values()])
     loads = np.array([[50.0, 20.0], [10.0, 90.0]])
     wanted = np.array([force_x, 2.0 * force_x])
     slip = initial_guess.slip_velocity(kernel, spheres, loads, wanted)
@@ -247,7 +247,7 @@ def test_slip_that_gives_a_force(force_x):
 def test_a_foot_sinks_until_it_bears():
     """Under spheres of different reach, by a root of the summed force."""
     kernel = FootGroundKernel(GroundContact("simbody", SPHERES))
-    spheres = np.array([[*vars(s).values()] for s in SPHERES.values()])
+    spheres = np.array([s.in_plane for s in SPHERES.values()])
     below = np.array([[0.09, 0.088], [0.05, 0.07]])
     force = np.array([700.0, 300.0])
     places = np.stack([0.0 * below, spheres[:, 4] - below], axis=2)

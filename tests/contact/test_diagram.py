@@ -16,6 +16,7 @@ from pydrake.multibody.tree import (
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, EventStatus, LeafSystem
 
+from drake_exo.contact.bushing import BushingParameters
 from drake_exo.contact.diagram import (
     ExoskeletonDiagram,
     build_diagram,
@@ -35,6 +36,7 @@ from drake_exo.contact.parameters import (
 )
 from drake_exo.contact.systems import (
     FootGroundContact,
+    HumanExoskeletonBushings,
     declare_force_ports,
 )
 from drake_exo.errors import InputError
@@ -458,38 +460,39 @@ def test_settings_of_a_simulator_are_checked(wrong, words):
         build_simulator(built, **wrong)
 
 
-def test_a_robot_that_leaves_the_plane_is_refused():
-    """Turned about, its spheres would be looked for above it."""
+def test_cuffs_that_leave_the_plane_are_refused():
+    """Turned about, their springs would act elsewhere."""
     builder = DiagramBuilder()
     plant = builder.AddSystem(MultibodyPlant(0.0))
-    foot = plant.AddRigidBody(
-        "foot", SpatialInertia.SolidBoxWithMass(5, 0.1, 0.1, 0.1)
+    limb, cuff = (
+        plant.AddRigidBody(
+            name, SpatialInertia.SolidBoxWithMass(5, 0.1, 0.1, 0.1)
+        )
+        for name in ("limb", "cuff")
     )
     plant.Finalize()
-    heel = ContactSphere(1e6, 0.5, x=0.1, z=-0.05, radius=0.05)
-    contact = builder.AddSystem(
-        FootGroundContact(
-            foot.index(), GroundContact("simbody", {"heel": heel})
-        )
-    )
+    pairs = {"cuff": (limb.index(), cuff.index())}
+    bushing = {"cuff": BushingParameters()}
+    cuffs = builder.AddSystem(HumanExoskeletonBushings(pairs, bushing))
     for name in ("body_poses", "body_spatial_velocities"):
-        builder.Connect(plant.GetOutputPort(name), contact.GetInputPort(name))
-    builder.ExportOutput(contact.GetOutputPort("ground_reaction"), "ground")
+        builder.Connect(plant.GetOutputPort(name), cuffs.GetInputPort(name))
+    builder.ExportOutput(cuffs.GetOutputPort("interaction_forces"), "forces")
     diagram = builder.Build()
 
-    def reaction(diagram, roll, pitch, yaw):
+    def forces(diagram, roll, pitch, yaw):
         context = diagram.CreateDefaultContext()
         at = plant.CreateDefaultContext()
         turned = RotationMatrix(RollPitchYaw(roll, pitch, yaw))
-        plant.SetFreeBodyPose(at, foot, RigidTransform(turned, [0, 0, 0.095]))
+        plant.SetFreeBodyPose(at, limb, RigidTransform(turned, [0, 0, 0.01]))
         state = plant.GetPositionsAndVelocities(at)
         context.SetContinuousState(state)
-        return diagram.GetOutputPort("ground").Eval(context)
+        return diagram.GetOutputPort("forces").Eval(context)
 
-    assert reaction(diagram, 1e-3, 0.0, 1e-3)[1] > 40.0
+    assert np.abs(forces(diagram, 1e-3, 0.0, 1e-3)).max() > 1.0
     for turned in (diagram, diagram.ToAutoDiffXd()):
         for roll, yaw in ((0.0, np.pi), (0.0, 0.5 * np.pi), (0.3, 0.0)):
             with pytest.raises(
-                InputError, match=r"foot_ground_contact: body 1 .* out of the x"
+                InputError,
+                match=r"human_exoskeleton_bushings: body 1 .* out of the x",
             ):
-                reaction(turned, roll, 0.0, yaw)
+                forces(turned, roll, 0.0, yaw)

@@ -75,7 +75,9 @@ def _truth(planar=False):
 def _samples(origin, R, force, cop):
     """Of a sole whose frame is above its middle."""
     friction = SimbodyConstants.static_friction
-    return SoleSamples(origin, R, force, cop, SIZE, np.zeros(2), friction)
+    return SoleSamples(
+        origin, R, force, cop, SIZE, np.zeros(2), friction, 0.07 + 0 * force
+    )
 
 
 def test_smoothing_of_a_centimetre_is_the_law_s_own():
@@ -436,3 +438,29 @@ def test_where_a_centre_of_pressure_counts():
     own = _samples(flat, R, force, flat[:, :2])
     found = reduction.loaded(own)
     np.testing.assert_array_equal(found, [True, True, False, False, True])
+
+
+def test_how_far_spheres_support_a_sole():
+    """In the direction where their polygon reaches least towards the edge."""
+    samples = _truth()
+    corners = np.array([[x, y] for x in (-1, 1) for y in (-1, 1)])
+    place = np.column_stack([0.25 * corners * SIZE[:2], np.zeros(4)])
+    found = reduction.Reduction(
+        samples, False, np.ones(4), place, softened(SHARE), np.zeros((4, 4)),
+        samples.force, samples.cop, samples.arm,
+    )  # fmt: skip
+    assert found.support_share == pytest.approx(0.5)
+    assert found.spin_error == 0.0
+    # Narrower to the left; and a sole whose middle they do not hold.
+    place[:, 1] = np.minimum(place[:, 1], 0.005)
+    assert found.support_share == pytest.approx(0.1)
+    away = samples._replace(middle=np.array([0.0, 0.01]))
+    assert replace(found, samples=away).support_share == pytest.approx(-0.1)
+    # What turns more easily by a fifth, wherever it is.
+    assert replace(found, arm=0.8 * samples.arm).spin_error == pytest.approx(
+        0.2 * np.sqrt((samples.force**2).mean()) / samples.force.max()
+    )
+    planar = replace(found, planar=True)
+    assert planar.support_share is planar.spin_error is None
+    assert "spin_n_m" not in planar.table()
+    assert planar.law.spin_error_rms is None

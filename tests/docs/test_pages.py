@@ -343,3 +343,53 @@ def test_intervals_bands_and_nominal_cuffs_are_as_the_page_says():
     assert names["normal"].shape == found.times.shape
     assert names["usual"].posterior is None
     assert len(repr(known)) < 1000 and len(repr(names["band"])) < 200
+
+
+@pytest.mark.slow
+def test_a_robot_stands_on_soles_as_the_page_says(tmp_path, monkeypatch):
+    from pydrake.math import RigidTransform
+    from pydrake.multibody.plant import MultibodyPlant
+    from pydrake.multibody.tree import FixedOffsetFrame, SpatialInertia
+    from pydrake.systems.analysis import (
+        ApplySimulatorConfig,
+        Simulator,
+        SimulatorConfig,
+    )
+    from pydrake.systems.framework import DiagramBuilder
+
+    page = (ROOT / "docs" / "soles.md").read_text("utf-8")
+    page = page[page.index("## Under a robot of your own") :]
+    put_under, fit = (b for k, b in _FENCE.findall(page) if k == "python")
+    monkeypatch.chdir(tmp_path)
+    Path("foot.yaml").write_text(dx.soles.EXAMPLE)
+    exec(fit, {})
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(MultibodyPlant(0.0))
+    box = SpatialInertia.SolidBoxWithMass(40.0, 0.23, 0.33, 0.5)
+    robot = plant.AddRigidBody("robot", box)
+    for name, y in (("left_sole", 0.1), ("right_sole", -0.1)):
+        X = RigidTransform([0.0, y, -0.4])
+        plant.AddFrame(FixedOffsetFrame(name, robot.body_frame(), X))
+    plant.Finalize()
+    names = {"dx": dx, "builder": builder, "plant": plant}
+    exec(put_under, names)
+    simulator = Simulator(builder.Build())
+    config = SimulatorConfig(
+        integration_scheme="radau3", max_step_size=0.02, accuracy=1e-3
+    )
+    ApplySimulatorConfig(config, simulator)
+    root = simulator.get_mutable_context()
+    own = plant.GetMyMutableContextFromRoot(root)
+    plant.SetFreeBodyPose(own, robot, RigidTransform([0.0, 0.0, 0.43]))
+    simulator.AdvanceTo(1.0)
+    pressed = [
+        sole.GetOutputPort("spatial_reaction").Eval(
+            sole.GetMyContextFromRoot(root)
+        )[5]
+        for sole in names["soles"]
+    ]
+    assert sum(pressed) == pytest.approx(40.0 * 9.81, rel=5e-3)
+    # The other foot's sole is the mirror image: neither bears more.
+    assert pressed[0] == pytest.approx(pressed[1], rel=1e-2)
+    up = robot.EvalPoseInWorld(own).rotation().matrix()[2, 2]
+    assert up > np.cos(0.02)

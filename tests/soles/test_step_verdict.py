@@ -412,7 +412,7 @@ def test_a_sole_as_a_whole_is_read_from_its_history(two, tmp_path):
     history = replace(two.history, K_c=K)
     write_history(tmp_path / HISTORY, two.sole.mesh, two.times, history)
     told = sole_samples(tmp_path)
-    O, R, force, cop, size, middle, mu = told  # noqa: E741
+    O, R, force, cop, size, middle, mu, arm = told  # noqa: E741
     assert told.cop is cop and told.friction is mu
     good = np.delete(np.arange(30), 4)
     np.testing.assert_array_equal(O, two.origin[good])
@@ -421,6 +421,9 @@ def test_a_sole_as_a_whole_is_read_from_its_history(two, tmp_path):
     np.testing.assert_allclose(force, F[:, :, 2].sum(axis=1))
     weighed = (F[:, :, 2:] * P[:, :, :2]).sum(axis=1)
     np.testing.assert_allclose(cop * force[:, None], weighed)
+    away = np.hypot(*(P[:, :, :2] - cop[:, None]).transpose(2, 0, 1))
+    turns = (F[:, :, 2] * away).sum(axis=1)
+    np.testing.assert_allclose(arm * force, turns)
     np.testing.assert_allclose(size, [0.23, 0.13, 0.03])
     np.testing.assert_allclose(middle, 0.0, atol=1e-12)
     assert mu == two.law.friction
