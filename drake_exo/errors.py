@@ -173,19 +173,19 @@ def check_file_name(where: str, name: str) -> None:
         )
 
 
-def nearest(name: str | None, names: Iterable[str]) -> str:
+def nearest(name: object, names: Iterable[object]) -> str:
     """The end of a sentence about a wrong name: "; did you mean 'hip'?".
 
     Empty if no name is similar. Case and a prefix before a colon, such as the
-    subject's name before a marker's, are ignored.
+    subject's name before a marker's, are ignored. A name may be no text.
 
     >>> nearest("L_calc", ["r_calc", "S4:L_CALC"])
     "; did you mean 'S4:L_CALC'?"
     """
     from difflib import get_close_matches  # only once something is wrong
 
-    plain = {n.casefold().rpartition(":")[2]: n for n in names}
-    wanted = (name or "").casefold().rpartition(":")[2]
+    plain = {str(n).casefold().rpartition(":")[2]: n for n in names}
+    wanted = str(name or "").casefold().rpartition(":")[2]
     close = get_close_matches(wanted, plain, n=1)
     return f"; did you mean {plain[close[0]]!r}?" if close else ""
 

@@ -302,9 +302,8 @@ class Study:
         try:
             yield
         except InputError as error:
-            key = str(error).partition(".")[0]
             path = getattr(self, "path", None)
-            if path and key in schema.keys(StudyFile):
+            if path and schema.has_key(StudyFile, str(error)):
                 raise InputError(f"{path}: {error}") from error
             raise
 

@@ -299,10 +299,11 @@ def write_predictions(
     if summary["clocks"]:
         print(clocks_table(summary["clocks"]))
     write_json(out / "summary.json", summary)
+    is_whole = not stopped and refused is None
     for prediction in found:
         folder = out / f"unfinished_{prediction.name}"
-        # Not before, nor if stopped: --resume goes on from there.
-        if prediction.success and folder.is_dir() and not stopped:
+        # Not before, nor if others are to come: --resume goes on from there.
+        if prediction.success and folder.is_dir() and is_whole:
             forget(folder)
             folder.rmdir()
     print(verdict.text())

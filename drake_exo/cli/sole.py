@@ -206,13 +206,14 @@ def _progress(name: str, total: int | None = None) -> Progress:
 
 @contextmanager
 def _ticking(progress: Progress, *said):
-    """Say so again and again while something is done that tells nothing."""
+    """Say so, and then the newest news, again and again until it is done."""
+    progress.update(*said)
     ended = Event()
 
     def tick() -> None:
         with suppress(BrokenPipeError):  # which the command itself will meet
             while not ended.wait(_QUIET / 4):
-                progress.update(*said)
+                progress.repeat()
 
     thread = Thread(target=tick, daemon=True)
     thread.start()
@@ -235,7 +236,6 @@ def _simulate(args) -> int:
         # A fine mesh takes a minute before its first sample.
         print(f"{case.name}: {tets} tets, {samples} samples", flush=True)
         step = case.simulate(lambda done, _: progress.update("samples", done))
-        progress.update("pictures", samples)
         with _ticking(progress, "pictures", samples):
             verdict = step.write(out, seconds, args.accept)
         folder.end(verdict.exit_code)

@@ -90,6 +90,20 @@ def _read_nastran(path: Path) -> meshio.Mesh:
     return meshio.nastran.read(io.StringIO(text))
 
 
+class _Text(io.StringIO):
+    """Text whose reader must stop at its end; meshio's would ask forever."""
+
+    def readline(self, *size) -> str:
+        line = super().readline(*size)
+        if not line:
+            raise EOFError("it is cut off")
+        return line
+
+
+def _read_tecplot(path: Path) -> meshio.Mesh:
+    return meshio.tecplot.read(_Text(path.read_text("latin-1")))
+
+
 def _read_su2(path: Path) -> meshio.Mesh:
     """Read an SU2 file; meshio takes fewer elements than are announced."""
     raw = meshio.su2.read(path)
@@ -107,6 +121,7 @@ _READERS = {
     ".stl": _read_stl,
     ".ply": meshio.ply.read,
     ".su2": _read_su2,
+    **dict.fromkeys((".dat", ".tec"), _read_tecplot),
     **dict.fromkeys((".bdf", ".fem", ".nas"), _read_nastran),
 }
 
@@ -191,8 +206,12 @@ def _check_end(data: bytes) -> None:
     is_nodes_begun = re.search(rb"^\s*Begin Nodes", data, re.MULTILINE)
     if is_nodes_begun and b"End Nodes" not in data:  # Kratos
         raise ValueError("its nodes do not end")
-    if data.startswith(b"(") and not data.rstrip().endswith(b")"):  # Ansys
-        raise ValueError("its last bracket does not close")
+    if data.startswith(b"("):  # Ansys
+        is_open = data.isascii() and data.count(b"(") > data.count(b")")
+        if is_open or not data.rstrip().endswith(b")"):
+            raise ValueError("its last bracket does not close")
+    if data.startswith(b"OFF") and not re.search(rb"^\s*\d", data, re.M):
+        raise ValueError("its numbers of nodes and faces are missing")
 
 
 def _check_gmsh(data: bytes) -> None:

@@ -42,6 +42,14 @@ _NUMBERED_COLUMN = re.compile(
 )
 
 
+# What "v", "p" and "m" are, and their units in a CSV table.
+_QUANTITIES = {
+    "v": ("force", "n"),
+    "p": ("point", "m", "mm"),
+    "m": ("moment", "nm", "n m"),
+}
+
+
 def read_table(path: str | Path) -> Table:
     """Read a .mot or .sto file.
 
@@ -207,13 +215,14 @@ def _plate(table, number, label, columns) -> PlateRecording:
             continue
         for axis, part in zip("xyz", parts, strict=True):
             if part is None:
-                what = {"v": "force", "p": "point", "m": "moment"}[kind]
+                what = _QUANTITIES[kind][0]
                 raise InputError(
                     f"{table.source}: force plate {label or number} has no "
                     f"{axis} component of its {what} beside column "
                     f"{example!r}; export all three"
                 )
         index = [table.names.index(part) for part in parts]
+        _check_units(table, index, *_QUANTITIES[kind][1:])
         given[kind] = table.values[:, index]
     unloaded = (given["v"] == 0.0).all(axis=1)
     point = np.where(
@@ -228,6 +237,16 @@ def _plate(table, number, label, columns) -> PlateRecording:
                 values,
             )
     return PlateRecording(number, given["v"], point, given["m"])
+
+
+def _check_units(table: Table, index: list[int], *known: str) -> None:
+    """Refuse columns of a CSV table whose unit is another quantity's."""
+    for k in index if table.units else ():
+        if table.units[k] not in known:
+            raise InputError(
+                f"{table.source}:1: column {table.names[k]!r} is in "
+                f"{table.units[k]!r}; give it in {' or '.join(known)}"
+            )
 
 
 def write_table(

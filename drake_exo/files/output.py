@@ -490,10 +490,16 @@ class Progress:
         self.total = total
         self.interval_seconds = interval_seconds
         self._stream = stream
+        self._newest: tuple[str, int | None] = "", None
         self._start = self._last = time.monotonic()
+
+    def repeat(self) -> None:
+        """Print the newest news, printed or not, likewise."""
+        self.update(*self._newest)
 
     def update(self, text: str = "", done: int | None = None) -> None:
         """Print a line if the last one is old enough."""
+        self._newest = text, done
         now = time.monotonic()
         if now - self._last < self.interval_seconds:
             return

@@ -422,6 +422,17 @@ def keys(cls: type) -> dict[str, Any]:
     return {_key(f): hints[f.name] for f in dataclasses.fields(cls) if f.init}
 
 
+def has_key(cls: type, text: str) -> bool:
+    """Whether a text begins with a key of a dataclass and one below it.
+
+    So a key is told from a file of its name, such as standing.c3d.
+    """
+    names = re.match(r"(\w+)\.(\w+)", text)
+    hint = keys(cls).get(names[1]) if names else None
+    kinds = filter(dataclasses.is_dataclass, typing.get_args(hint) or [hint])
+    return any(names[2] in keys(kind) for kind in kinds)
+
+
 def exactly_one(block, names) -> None:
     """Refuse settings in which none or several of `names` are set."""
     given = [n for n in names if getattr(block, n) is not None]

@@ -455,11 +455,11 @@ def read_feet(
         InputError: as `read_foot_forces`.
     """
     forces = read_foot_forces(
-        _under(root, files.forces), files.plates, laboratory, settings
+        several(files.forces, root), files.plates, laboratory, settings
     )
     if files.empty_plates is not None:
         empty = read_foot_forces(
-            _under(root, files.empty_plates),
+            several(files.empty_plates, root),
             files.plates,
             laboratory,
             settings,
@@ -468,10 +468,6 @@ def read_feet(
         check_empty(empty.source, empty.recorded.values())
         forces = forces.without(empty)
     return forces.levelled(laboratory.remove_plate_drift)
-
-
-def _under(root: Path, files) -> list[Path]:
-    return [root / file for file in several(files)]
 
 
 def check_empty(source: object, wrenches: Iterable[np.ndarray]) -> None:

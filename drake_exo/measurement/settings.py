@@ -486,11 +486,12 @@ class Standing:
         _check_files(self)
 
 
-def several(files: Files | None) -> tuple[Path, ...]:
-    """A file, or a list of them, as a list; empty if there is none."""
+def several(files: Files | None, root: Path = Path()) -> tuple[Path, ...]:
+    """Paths from a root of one file or of several; empty if there is none."""
     if files is None:
         return ()
-    return files if isinstance(files, tuple) else (files,)
+    paths = files if isinstance(files, tuple) else (files,)
+    return tuple(root / file for file in paths)
 
 
 def listed(files: Files | Sequence[Path]) -> str:

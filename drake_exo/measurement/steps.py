@@ -107,7 +107,7 @@ def recorded_step(
     files = _trial(settings, trial)
     lab = settings.laboratory.facing(files.marker_axes)
     time, plates = plates_under(
-        [root / file for file in several(files.forces)], files.plates.of(foot)
+        several(files.forces, root), files.plates.of(foot)
     )
     where = f"{listed(files.forces)}, trial {trial}, {foot} foot"
     if not plates:
@@ -118,8 +118,7 @@ def recorded_step(
     each = [lab.on_body(plate) for plate in plates]
     if files.empty_plates is not None:
         _, empty = plates_under(
-            [root / file for file in several(files.empty_plates)],
-            files.plates.of(foot),
+            several(files.empty_plates, root), files.plates.of(foot)
         )
         bare = [lab.on_body(plate) for plate in empty]
         check_empty(listed(files.empty_plates), bare)

@@ -128,7 +128,8 @@ class Model:
         if not isinstance(self.kind, Assembly) and self.kind not in KINDS:
             raise InputError(
                 f"there is no model {self.kind!r}; choose one of "
-                f"{', '.join(KINDS)}"
+                f"{', '.join(KINDS)}; of a device of your own, nominal_model "
+                "takes a .yaml file with what a study's 'model' says"
             )
         if self.assembly.is_fitted and self.exoskeleton is None:
             raise InputError(

@@ -64,6 +64,8 @@ def _angles(what: str, degrees, joints: Sequence[str]) -> np.ndarray:
             f"{what} has the shape {found.shape}; give an angle for each of "
             f"{', '.join(joints) or 'no joints'}"
         )
+    if not np.isfinite(found).all():  # Drake would end the process
+        raise InputError(f"{what} holds values that are not finite numbers")
     return np.radians(found)
 
 
@@ -168,7 +170,7 @@ class Scene:
             (nq,) positions of the plant.
 
         Raises:
-            InputError: another number of angles.
+            InputError: another number of angles, or one that is not finite.
         """
         plant, names = self.plant, self.coordinates
         body = np.zeros(len(names.body))

@@ -314,6 +314,8 @@ def test_what_is_solved_is_written_before_another_trial_is_refused(
     ):
         write_predictions(study, nominal_contact(model), folder)
     assert read_trial(tmp_path / "out", "rise1").source == "solved"
+    # --resume goes on from it when the other is mended.
+    assert (tmp_path / "out/unfinished_rise1/checkpoint.npz").is_file()
     summary = read_json(tmp_path / "out" / "summary.json", "")
     assert (summary["success"], summary["verdict"]) == (False, "not solved")
     assert "rise2: q holds" in summary["status"]

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from angles import in_radians
@@ -233,6 +235,17 @@ def test_reads_plates_under_their_usual_names(tmp_path, names):
 def table(names, values=None):
     values = np.ones((25, len(names))) if values is None else values
     return Table(TIME, tuple(names), values, False, "f.mot")
+
+
+def test_units_of_plates_in_a_csv_table_are_those_of_forces_and_points():
+    names = [f"FP1_{k}{a}" for k in "vpm" for a in "xyz"]
+    units = ["n"] * 3 + ["mm"] * 3 + ["nm", "n m", "nm"]
+    assert list(plates_of(replace(table(names), units=tuple(units)))) == [1]
+    for k, told in ((1, "in n"), (4, "in m or mm"), (8, "in nm or n m")):
+        wrong = tuple([*units[:k], "rad", *units[k + 1 :]])
+        said = f"f.mot:1: column '{names[k]}' is in 'rad'; give it {told}"
+        with pytest.raises(InputError, match=said):
+            plates_of(replace(table(names), units=wrong))
 
 
 def test_plate_numbers_follow_the_columns():

@@ -263,6 +263,17 @@ def test_friction_of_no_joint_ends_a_command(folder, capsys, device, words):
         drives.check(replace(names, device=("motor_ankle",)))
 
 
+def test_a_recording_named_like_a_key_is_no_key(folder, monkeypatch):
+    """Its errors name it alone, wherever the command is given."""
+    write_recording(folder, nominal_human())
+    monkeypatch.chdir(folder)
+    (folder / "standing.trc").write_text("no markers")
+    path = folder / "study.yaml"
+    path.write_text(path.read_text().replace("static.trc", "standing.trc"))
+    with pytest.raises(InputError, match=r"^standing\.trc: "):
+        _ = read_study("study.yaml").subject
+
+
 def test_cuffs_of_either_leg_have_their_segment_s_settings():
     stiff = BushingSettings(normal_n_m=Range(9e3, 1e3, 2e4))
     own = BushingSettings(normal_n_m=Range(7e3, 1e3, 2e4))

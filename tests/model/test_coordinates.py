@@ -104,6 +104,10 @@ def test_unknown_names_are_refused(coupled):
         coupled.columns(["hip", "toe"])
     with pytest.raises(InputError, match="did you mean 'exo_hip'"):
         coupled.index("exo_hpi")
+    # As is what is no name, such as an index.
+    for wrong in (1, 2.5, ["knee"]):
+        with pytest.raises(InputError, match="there is no coordinate"):
+            coupled.index(wrong)
 
 
 def test_what_is_not_in_the_root_is_no_joint(coupled):

@@ -386,7 +386,10 @@ def test_model_files_are_found_by_package_url():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"kind": "planar"}, "no model 'planar'"),
+        (
+            {"kind": "hip.urdf"},
+            "no model 'hip.urdf'; .* nominal_model takes a .yaml file",
+        ),
         ({"kind": "rigid", "gravity_m_s2": -9.81}, "at least 0"),
     ],
 )

@@ -76,6 +76,7 @@ def test_two_legs_stand_upright():
     [
         (((1.0, 2.0),), "joints_deg has the shape .* each of ankle, knee, hip"),
         ((HALFWAY_DEG, [1.0]), "offsets_deg .* exo_ankle, exo_knee, exo_hip"),
+        (((1.0, float("nan"), 2.0),), "joints_deg holds values that are not"),
     ],
 )
 def test_an_upright_pose_needs_an_angle_for_each_joint(angles, words):

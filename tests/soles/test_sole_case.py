@@ -383,6 +383,27 @@ def test_a_notebook_shows_no_arrays():
     assert repr(samples) == "SoleSamples(5 samples, up to 400.0 N)"
 
 
+def test_news_of_a_search_are_not_hidden_by_lines_that_say_it_goes_on(
+    tmp_path, capsys, monkeypatch
+):
+    """Most iterations come while no line is due; the newest is then told."""
+
+    def search(case, out, say, *given):
+        for iteration in range(10):
+            say(f"iteration {iteration}")
+            time.sleep(0.05)
+        raise InputError("slow")
+
+    monkeypatch.setattr("drake_exo.cli.sole._QUIET", 0.02)
+    monkeypatch.setattr("drake_exo.cli.sole.soles.Case.optimize", search)
+    (tmp_path / "load.csv").write_text(ROWS)
+    (tmp_path / "case.yaml").write_text(GOOD)
+    where = [str(tmp_path / "case.yaml"), "--out", str(tmp_path / "out")]
+    assert cli.main(["sole", "optimize", *where]) == 2
+    told = capsys.readouterr().out
+    assert sum(f"iteration {i}" in told for i in range(10)) >= 8
+
+
 def test_the_text_of_a_case_is_text():
     with pytest.raises(
         InputError, match=r"text is \{'name': 'a'\}; give a str"

@@ -174,10 +174,11 @@ def test_a_nastran_file_in_either_case_is_read(tmp_path, end):
         (".su2", 1, "holds 71 of its elements"),
         (".mdpa", 100, "its nodes do not end"),
         (".msh", 100, "its last bracket does not close"),
+        (".dat", 100, "it is cut off"),
     ],
 )
 def test_a_file_that_is_cut_off_is_refused(tmp_path, suffix, rows, words):
-    """Of the last two formats meshio would read on forever."""
+    """Of all but the first format meshio would read on forever."""
     mesh, path = brick(SIZE, (3, 2, 2)), tmp_path / f"sole{suffix}"
     made = meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)])
     if suffix == ".msh":
@@ -188,6 +189,22 @@ def test_a_file_that_is_cut_off_is_refused(tmp_path, suffix, rows, words):
     while lines[-1].startswith(b"NMARK"):
         lines.pop()
     path.write_bytes(b"".join(lines[:-rows]))
+    with pytest.raises(InputError, match=words):
+        read_mesh(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("sole.msh", "(2 3)\n(10 (0 1 36 0)", "its last bracket does not"),
+        ("sole.off", "OFF\n# of a scanner\n", "numbers of nodes and faces are"),
+    ],
+)
+def test_a_file_whose_end_meshio_would_seek_is_refused(
+    tmp_path, name, text, words
+):
+    path = tmp_path / name
+    path.write_text(text)
     with pytest.raises(InputError, match=words):
         read_mesh(path)
 
