@@ -60,7 +60,8 @@ def test_a_case_runs_and_leaves_its_results(folder, capsys, monkeypatch):
     every = partial(Progress, interval_seconds=0.0)
     monkeypatch.setattr("drake_exo.cli.sole._progress", every)
     assert _run(folder) == 0
-    said = capsys.readouterr().out.splitlines()
+    reading, *said = capsys.readouterr().out.splitlines()
+    assert "case.yaml: reading and meshing (" in reading
     assert [line.partition(" (")[0] for line in said[1:5]] == [
         *(f"small: {q}/3, samples" for q in (1, 2, 3)), "small: 3/3, pictures",
     ]  # fmt: skip
