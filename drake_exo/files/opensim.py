@@ -151,9 +151,16 @@ def read_plates(
 
 
 def has_plates(table: Table) -> bool:
-    """Whether a table has forces and points of plates."""
-    kinds = {kind[0] for _, kind in _plate_columns(table).values()}
-    return {"v", "p"} <= kinds
+    """Whether a table has plates, and all of their forces and points.
+
+    Columns of other instruments may be named likewise, such as imu1_vx.
+    """
+    found = set(_plate_columns(table).values())
+    whole = [kind + axis for kind in "vp" for axis in "xyz"]
+    labels = {label for label, _ in found}
+    return bool(found) and all(
+        (label, part) in found for label in labels for part in whole
+    )
 
 
 def plates_of(table: Table) -> dict[int, PlateRecording]:

@@ -142,6 +142,12 @@ def test_csv_of_signals_and_of_pressure(tmp_path):
     assert inspect(tmp_path / "cells.csv") == found
 
 
+def test_numbered_channels_that_are_no_plates_are_channels(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time [s],imu1_vx [m],imu2_px [m]\n0,1,2\n1,2,3\n")
+    assert inspect(path).splitlines()[1].startswith("2 channels")
+
+
 def test_a_table_of_a_sole_s_step(tmp_path):
     """As the sole half writes and reads them: units are in the names."""
     path = tmp_path / "steps.csv"
