@@ -179,18 +179,20 @@ def test_derivatives_of_an_elastic_program(kinds):
     problem = _straight_cart()
     elastic = ElasticProgram(problem, kinds, 30.0)
     rng = np.random.default_rng(4)
-    y = rng.uniform(0.5, 2.0, problem.num_unknowns)  # beyond each bound
-    assert (elastic.excess(y) != 0.0).all()
-    assert check_derivatives(elastic, y) < 1e-7
-
     ny = problem.num_unknowns
+    beyond = rng.uniform(0.5, 2.0, ny)  # each bound
+    assert (elastic.excess(beyond) != 0.0).all()
+    within = 0.2 * beyond  # the limits, whose springs are slack
+    assert (elastic.excess(within) == 0.0).any() == ("limit" in kinds)
     multipliers = rng.normal(size=problem.num_constraints)  # all is affine
-    values = elastic.hessian(y, multipliers, 0.7)
-    H = sp.coo_array((values, elastic.hessian_structure), (ny, ny)).toarray()
-    H += np.tril(H, -1).T
-    step = 1e-5 * np.eye(ny)
-    expected = [
-        0.7 * (elastic.gradient(y + h) - elastic.gradient(y - h)) / 2e-5
-        for h in step
-    ]
-    np.testing.assert_allclose(H, expected, atol=1e-6)
+    for y in beyond, within:
+        assert check_derivatives(elastic, y) < 1e-7
+        values = elastic.hessian(y, multipliers, 0.7)
+        H = sp.coo_array((values, elastic.hessian_structure), (ny, ny))
+        H = H.toarray()
+        H += np.tril(H, -1).T
+        expected = [
+            0.7 * (elastic.gradient(y + h) - elastic.gradient(y - h)) / 2e-5
+            for h in 1e-5 * np.eye(ny)
+        ]
+        np.testing.assert_allclose(H, expected, atol=1e-6)
