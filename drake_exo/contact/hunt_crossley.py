@@ -389,19 +389,16 @@ def sphere_wrench(
         Force on the sphere and the point where it acts. Slip is the velocity
         of the body's material point there.
     """
-    indentation = radius - center_z
-    arm = contact_arm(law, indentation, radius)
-    normal, friction, _ = _force(
+    return spatial_sphere_wrench(
         law,
-        indentation,
-        -velocity_z,
-        (velocity_x + arm * pitch_rate, 0.0),
+        (center_x, 0.0, center_z),
+        (velocity_x, 0.0, velocity_z),
+        (0.0, -pitch_rate, 0.0),
         stiffness,
         dissipation,
         radius,
         checked_constants(law, constants),
-    )
-    return SphereWrench(friction, normal, center_x, center_z - arm)
+    ).in_plane
 
 
 @any_scalar

@@ -179,13 +179,19 @@ def applied_force(T, body, link: BodyState, point, force, moment=0.0):
         force: (F_x, F_z) in the world [N].
         moment: toes-up positive (about world −y) [N·m].
     """
+    c, s = link.direction
+    dx, dz = point[0] - link.position[0], point[1] - link.position[1]
+    p_BoBq_B = [c * dx + s * dz, 0.0, c * dz - s * dx]
+    F_Bq_W = [0.0, -moment, 0.0, force[0], 0.0, force[1]]
+    return _entry(T, body, p_BoBq_B, F_Bq_W)
+
+
+def _entry(T, body, p_BoBq_B, F_Bq_W):
+    """Entry of the port: moment and force [N·m, N] at a point of a body [m]."""
     Entry, Force = _force_types(T)
     entry = Entry()
     entry.body_index = body
-    c, s = link.direction
-    dx, dz = point[0] - link.position[0], point[1] - link.position[1]
-    entry.p_BoBq_B = np.array([c * dx + s * dz, 0.0, c * dz - s * dx])
-    F_Bq_W = [0.0, -moment, 0.0, force[0], 0.0, force[1]]
+    entry.p_BoBq_B = np.array(p_BoBq_B)
     entry.F_Bq_W = Force(F=np.array(F_Bq_W))
     return entry
 
@@ -402,15 +408,11 @@ def FootGroundContact_(T):
 
         def _calc_spatial_forces(self, context, output):
             foot, wrenches = self._wrenches.Eval(context)
-            Entry, Force = _force_types(T)
             entries = []
             for force, point in wrenches:
                 arm = (p - o for p, o in zip(point, foot.position, strict=True))
-                entry = Entry()
-                entry.body_index = self._body
-                entry.p_BoBq_B = np.array(foot.to_body(arm))
-                entry.F_Bq_W = Force(F=np.array([0.0, 0.0, 0.0, *force]))
-                entries.append(entry)
+                F_Bq_W = [0.0, 0.0, 0.0, *force]
+                entries.append(_entry(T, self._body, foot.to_body(arm), F_Bq_W))
             output.set_value(entries)
 
         def _reaction(self, context) -> list:
